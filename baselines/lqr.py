@@ -1,0 +1,157 @@
+"""Sampled-data LQR on the environment's own discrete model, and the analytic cost of a linear law.
+
+The stage cost of a control period is lifted exactly: its value after every physics step is a linear
+function of the state, the held current and the noise, so that cost, gain and J* have no step error
+(compare Anderson and Moore, Optimal Control, 1990, ch. 11, and Chen and Francis, Optimal
+Sampled-Data Control Systems, 1995).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+
+from shake_env.discretization import DiscretePlant
+from shake_env.errors import NumericalError, ParameterError
+from shake_env.objective import StageCost
+from shake_env.parameters import FloatArray
+from shake_env.plant import REFERENCE_CURRENT, CoupledPlant
+
+IntArray = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class StationaryPerformance:
+    """Stationary response of a linear law to the unit-intensity filtered noise."""
+
+    cost: float  # expected stage cost
+    acceleration_rms: float  # of y_A - y~ [m/s^2]
+    base_shear_rms: float  # of f_s - f~_s [N]
+    acceleration_rms_ratio: float  # relative to the target's rms [-]
+    base_shear_rms_ratio: float  # relative to the reference's rms [-]
+    current_rms: float  # [A]
+
+
+@dataclass(frozen=True)
+class LQRDesign:
+    """A sampled-data LQR: ``u = -gain @ x`` with the full state x in SI."""
+
+    gain: FloatArray  # (n,) [A per SI unit of each state]; zero on an unobservable position
+    analytic_cost: float  # J*, stationary expected stage cost
+    performance: StationaryPerformance
+
+
+def observable_states(plant: CoupledPlant) -> IntArray:
+    """Return the indices of the states that feed anything, (n - 1,) when k_a = 0 and (n,) otherwise.
+
+    With k_a = 0 the position x_a is a pure integrator that no output and no other state sees. A
+    Riccati equation that contains it has no stabilising solution.
+    """
+    model, position = plant.coupled, plant.layout.table_displacement
+    if np.any(model.A[:, position]) or np.any(model.C[:, position]):
+        return np.arange(model.order)
+    return np.delete(np.arange(model.order), position)
+
+
+@dataclass(frozen=True)
+class _ScaledProblem:
+    """The lifted problem on observable, scaled states and a scaled current."""
+
+    F: FloatArray  # (m, m)
+    G: FloatArray  # (m, 1)
+    N: FloatArray  # (m, draws)
+    Z_x: FloatArray  # (k, 2, m) errors [m/s^2, N] after each physics step
+    Z_u: FloatArray  # (k, 2, 1)
+    Z_d: FloatArray  # (k, 2, draws)
+    kept: IntArray  # indices of these states in the full state
+    scale: FloatArray  # (m,)
+
+    @classmethod
+    def of(cls, discrete: DiscretePlant) -> _ScaledProblem:
+        plant, lifted = discrete.plant, discrete.lifted
+        n = plant.layout.order
+        kept = observable_states(plant)
+        scale = plant.state_scale[kept]
+        errors = lifted.outputs[:, [0, 1]] - lifted.outputs[:, [2, 3]]
+        return cls(
+            F=lifted.state[np.ix_(kept, kept)] * scale / scale[:, None],
+            G=lifted.state[kept, n : n + 1] * REFERENCE_CURRENT / scale[:, None],
+            N=lifted.state[kept, n + 1 :] / scale[:, None],
+            Z_x=errors[:, :, kept] * scale,
+            Z_u=errors[:, :, n : n + 1] * REFERENCE_CURRENT,
+            Z_d=errors[:, :, n + 1 :],
+            kept=kept,
+            scale=scale,
+        )
+
+
+def sampled_lqr(discrete: DiscretePlant, cost: StageCost) -> LQRDesign:
+    """Design the LQR that minimises the stationary expected stage cost.
+
+    Raises
+    ------
+    NumericalError
+        If the Riccati solution fails its residual, stability or cost check.
+    """
+    p = _ScaledProblem.of(discrete)
+    k = discrete.substeps
+    weights = np.sqrt([cost.acceleration, cost.force])[None, :, None]
+    Z_x, Z_u, Z_d = p.Z_x * weights, p.Z_u * weights, p.Z_d * weights
+    Q = np.einsum("koi,koj->ij", Z_x, Z_x) / k
+    S = np.einsum("koi,koj->ij", Z_x, Z_u) / k
+    R = np.einsum("koi,koj->ij", Z_u, Z_u) / k + cost.current * REFERENCE_CURRENT**2
+    P = solve_discrete_are(p.F, p.G, Q, R, s=S)
+    K = np.linalg.solve(R + p.G.T @ P @ p.G, p.G.T @ P @ p.F + S.T)
+    residual = p.F.T @ P @ p.F - P + Q - (p.F.T @ P @ p.G + S) @ K
+    if not np.max(np.abs(residual)) <= 1e-8 * np.max(np.abs(P)):
+        raise NumericalError("Riccati residual", float(np.max(np.abs(residual))), "is too large")
+    gain = np.zeros(discrete.layout.order)
+    gain[p.kept] = K[0] * REFERENCE_CURRENT / p.scale
+    analytic = float(np.einsum("id,ij,jd->", p.N, P, p.N) + np.sum(Z_d**2) / k)
+    performance = stationary_performance(discrete, cost, gain)
+    if not abs(performance.cost - analytic) <= 1e-6 * analytic:
+        raise NumericalError(
+            "J*", analytic, f"differs from the closed loop's Lyapunov cost {performance.cost!r}"
+        )
+    return LQRDesign(gain, analytic, performance)
+
+
+def stationary_performance(
+    discrete: DiscretePlant, cost: StageCost, gain: FloatArray
+) -> StationaryPerformance:
+    """Return the exact stationary performance of ``u = -gain @ x``.
+
+    Parameters
+    ----------
+    gain
+        (n,) [A per SI unit of each state], zero on the position where that is unobservable.
+
+    Raises
+    ------
+    NumericalError
+        If the closed loop is not stable.
+    """
+    if gain.shape != (discrete.layout.order,):
+        raise ParameterError("gain shape", gain.shape, f"must be ({discrete.layout.order},)")
+    p, plant = _ScaledProblem.of(discrete), discrete.plant
+    K = (gain[p.kept] * p.scale / REFERENCE_CURRENT)[None, :]
+    closed = p.F - p.G @ K
+    radius = float(np.max(np.abs(np.linalg.eigvals(closed))))
+    if not radius < 1.0:
+        raise NumericalError("spectral radius", radius, "the closed loop is unstable")
+    covariance = solve_discrete_lyapunov(closed, p.N @ p.N.T)
+    Z = p.Z_x - p.Z_u @ K
+    variance = np.einsum("koi,ij,koj->o", Z, covariance, Z) + np.sum(p.Z_d**2, axis=(0, 2))
+    acceleration, shear = variance / discrete.substeps
+    current = float(K[0] @ covariance @ K[0]) * REFERENCE_CURRENT**2
+    return StationaryPerformance(
+        cost=float(cost.acceleration * acceleration + cost.force * shear + cost.current * current),
+        acceleration_rms=float(np.sqrt(acceleration)),
+        base_shear_rms=float(np.sqrt(shear)),
+        acceleration_rms_ratio=float(np.sqrt(acceleration / plant.target_variance)),
+        base_shear_rms_ratio=float(np.sqrt(shear / plant.reference_shear_variance)),
+        current_rms=float(np.sqrt(current)),
+    )

@@ -1,0 +1,228 @@
+"""Continuous to discrete, in one place: exact zero- and first-order hold, exact noise covariance.
+
+Everything comes in and goes out in SI; inside, states are scaled (`CoupledPlant.state_scale`), because
+SI states span ten decades and a matrix exponential of the raw matrices loses that many digits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import expm
+
+from shake_env.errors import NumericalError, ParameterError
+from shake_env.parameters import FloatArray
+from shake_env.plant import CoupledPlant, StateLayout, StateSpace, check_shapes
+
+
+@dataclass(frozen=True)
+class DiscreteStateSpace:
+    """Discrete linear model ``x[j+1] = A x[j] + B u[j]``, ``y[j] = C x[j] + D u[j]`` (SI)."""
+
+    A: FloatArray  # (n, n)
+    B: FloatArray  # (n, inputs)
+    C: FloatArray  # (outputs, n)
+    D: FloatArray  # (outputs, inputs)
+    dt: float  # [s]
+
+    def __post_init__(self) -> None:
+        check_shapes(self.A, self.B, self.C, self.D)
+        _check_step(self.dt)
+
+    @property
+    def order(self) -> int:
+        """Number of states n."""
+        return int(self.A.shape[0])
+
+
+def _check_step(dt: float) -> None:
+    if not (np.isfinite(dt) and dt > 0.0):
+        raise ParameterError("dt", dt, "the step must be a finite time above 0 s")
+
+
+def zero_order_hold(system: StateSpace, dt: float, scale: FloatArray) -> DiscreteStateSpace:
+    """Return the exact model for inputs held constant over each step.
+
+    Parameters
+    ----------
+    system
+        Continuous model.
+    dt
+        Step [s].
+    scale
+        (n,) size of each state, for the arithmetic only.
+    """
+    _check_step(dt)
+    n, inputs = system.B.shape
+    generator = np.zeros((n + inputs, n + inputs))
+    generator[:n, :n] = system.A * scale / scale[:, None]
+    generator[:n, n:] = system.B / scale[:, None]
+    power = expm(generator * dt)
+    A = power[:n, :n] * scale[:, None] / scale
+    return DiscreteStateSpace(A, power[:n, n:] * scale[:, None], system.C, system.D, dt)
+
+
+def first_order_hold(
+    system: StateSpace, dt: float, scale: FloatArray
+) -> tuple[DiscreteStateSpace, FloatArray]:
+    """Return the exact model for inputs that run straight from each sample to the next.
+
+    Returns
+    -------
+    model
+        ``x[j+1] = A x[j] + B u[j] + B_next u[j+1]``; its ``B`` multiplies the present sample.
+    B_next
+        (n, inputs) what multiplies the next sample.
+    """
+    _check_step(dt)
+    n, inputs = system.B.shape
+    generator = np.zeros((n + 2 * inputs, n + 2 * inputs))
+    generator[:n, :n] = system.A * scale / scale[:, None] * dt
+    generator[:n, n : n + inputs] = system.B / scale[:, None] * dt
+    generator[n : n + inputs, n + inputs :] = np.eye(inputs)
+    power = expm(generator)
+    A = power[:n, :n] * scale[:, None] / scale
+    level = power[:n, n : n + inputs] * scale[:, None]
+    slope = power[:n, n + inputs :] * scale[:, None]
+    return DiscreteStateSpace(A, level - slope, system.C, system.D, dt), slope
+
+
+def noise_covariance(A: FloatArray, B: FloatArray, dt: float, scale: FloatArray) -> FloatArray:
+    """Return the covariance that white noise of unit intensity leaves in the state after one step.
+
+    ``integral_0^dt exp(A s) B B' exp(A' s) ds`` by Van Loan (IEEE TAC 23, 1978), (n, n) in SI.
+    """
+    _check_step(dt)
+    n = A.shape[0]
+    A_scaled = A * scale / scale[:, None]
+    B_scaled = B / scale[:, None]
+    generator = np.zeros((2 * n, 2 * n))
+    generator[:n, :n] = -A_scaled
+    generator[:n, n:] = B_scaled @ B_scaled.T
+    generator[n:, n:] = A_scaled.T
+    power = expm(generator * dt)
+    covariance = power[n:, n:].T @ power[:n, n:]
+    return 0.5 * (covariance + covariance.T) * np.outer(scale, scale)
+
+
+def noise_factor(covariance: FloatArray, scale: FloatArray) -> FloatArray:
+    """Return L, (n, rank) in SI, with ``L @ L.T`` equal to the covariance to rounding.
+
+    The covariance of one short step is nearly singular (state i + 1 receives dt^2 less than state i);
+    directions whose variance is below rounding of the largest carry no information and are dropped.
+    """
+    scaled = covariance / np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(scaled)
+    largest = values[-1]
+    if largest == 0.0:
+        return np.zeros((len(scale), 0))
+    if values[0] < -1e-9 * largest:
+        raise NumericalError("noise covariance", float(values[0]), "is not positive semi-definite")
+    keep = values > np.finfo(float).eps * largest
+    factor: FloatArray = vectors[:, keep] * np.sqrt(values[keep]) * scale[:, None]
+    return factor
+
+
+@dataclass(frozen=True)
+class LiftedModel:
+    """One control period as a single linear map of ``[x, u, d]``.
+
+    `x` (n) is the state at the period's start, `u` (1) the current held over it and `d` (m) all the
+    disturbance samples of the period in order of time. Outputs are taken after each physics step.
+    """
+
+    state: FloatArray  # (n, n + 1 + m): the state at the period's end
+    outputs: FloatArray  # (substeps, outputs, n + 1 + m)
+
+
+def lift(
+    model: DiscreteStateSpace,
+    disturbance: FloatArray,
+    substeps: int,
+    disturbance_next: FloatArray | None = None,
+) -> LiftedModel:
+    """Compose `substeps` physics steps into one map by running the step on a basis.
+
+    Parameters
+    ----------
+    model
+        Physics step; the first column of its B is the held control, D is zero.
+    disturbance
+        (n, r) what multiplies the disturbance sample at the start of a step.
+    substeps
+        Physics steps per control period.
+    disturbance_next
+        (n, r) what multiplies the sample at the step's end (first-order hold); then `d` holds
+        ``substeps + 1`` samples instead of `substeps`.
+    """
+    n, rank = disturbance.shape
+    samples = substeps + (disturbance_next is not None)
+    running = np.zeros((n, n + 1 + samples * rank))
+    running[:, :n] = np.eye(n)
+    outputs = []
+    for j in range(substeps):
+        running = model.A @ running
+        running[:, n] += model.B[:, 0]
+        first = n + 1 + j * rank
+        running[:, first : first + rank] += disturbance
+        if disturbance_next is not None:
+            running[:, first + rank : first + 2 * rank] += disturbance_next
+        outputs.append(model.C @ running)
+    return LiftedModel(running, np.stack(outputs))
+
+
+@dataclass(frozen=True)
+class DiscretePlant:
+    """The coupled plant sampled at the physics step, under a control held over `substeps` steps.
+
+    The stepping kernel, the LQR design and the analytic cost all read these matrices, so that none of
+    them has a copy of an equation.
+    """
+
+    plant: CoupledPlant
+    dt: float  # physics step [s]
+    substeps: int  # physics steps per control period
+
+    def __post_init__(self) -> None:
+        _check_step(self.dt)
+        if self.substeps < 1:
+            raise ParameterError("substeps", self.substeps, "must be a whole number of at least 1")
+
+    @property
+    def layout(self) -> StateLayout:
+        """Where each part of the full state lies."""
+        return self.plant.layout
+
+    @cached_property
+    def model(self) -> DiscreteStateSpace:
+        """One physics step: input u, outputs ``[y_A, f_s, y~, f~_s]``, states as the coupled plant."""
+        coupled = self.plant.coupled
+        held = StateSpace(coupled.A, coupled.B[:, :1], coupled.C, coupled.D[:, :1])
+        return zero_order_hold(held, self.dt, self.plant.state_scale)
+
+    @cached_property
+    def noise(self) -> FloatArray:
+        """(n, rank) factor of the exact covariance that w leaves in the state after one step."""
+        coupled, scale = self.plant.coupled, self.plant.state_scale
+        return noise_factor(noise_covariance(coupled.A, coupled.B[:, 1:], self.dt, scale), scale)
+
+    @cached_property
+    def lifted(self) -> LiftedModel:
+        """One control period under filtered noise: ``d`` are `substeps` draws of the noise factor."""
+        return lift(self.model, self.noise, self.substeps)
+
+    @cached_property
+    def lifted_record(self) -> LiftedModel:
+        """One control period under a given target, straight between its samples.
+
+        States ``[x_A, x_S, x~_S]``, outputs ``[y_A, f_s, f~_s]``, and ``d`` the ``substeps + 1``
+        samples of y~ at the ends of the physics steps.
+        """
+        scale = self.plant.state_scale[self.layout.filter_states :]
+        model, B_next = first_order_hold(self.plant.driven, self.dt, scale)
+        held = DiscreteStateSpace(
+            model.A, model.B[:, :1] + B_next[:, :1], model.C, model.D[:, :1], self.dt
+        )
+        return lift(held, model.B[:, 1:], self.substeps, B_next[:, 1:])

@@ -1,0 +1,68 @@
+"""Errors that a caller can catch by type and a reader can act on.
+
+Every message has the same three parts: the field, the value found there, and the remedy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class ShakeError(ValueError):
+    """Base of every error this package raises on purpose.
+
+    Parameters
+    ----------
+    field
+        Name of the parameter, file or array at fault.
+    value
+        What was found there.
+    remedy
+        What would be accepted, or what to do.
+    """
+
+    def __init__(self, field: str, value: object, remedy: str) -> None:
+        self.field, self.value, self.remedy = field, value, remedy
+        super().__init__(f"{field} = {value!r}: {remedy}")
+
+    def __reduce__(self) -> tuple[type[ShakeError], tuple[str, object, str]]:
+        # BaseException pickles by self.args, which holds one message and not these three parts;
+        # worker processes send errors home by pickle.
+        return type(self), (self.field, self.value, self.remedy)
+
+
+class ParameterError(ShakeError):
+    """A physical parameter or an option is outside its allowed range."""
+
+
+class ScenarioError(ShakeError):
+    """A scenario is unknown, or its parts do not fit together."""
+
+
+class ActionError(ShakeError):
+    """An action has the wrong shape, or is not a number."""
+
+
+class RecordError(ShakeError):
+    """A recorded motion is unknown, or its file contradicts itself."""
+
+
+class PolicyFileError(ShakeError):
+    """A policy file is missing, truncated, corrupt, or made for another observation."""
+
+
+class RunDirectoryError(ShakeError):
+    """A training run's directory exists already, or holds nothing to resume."""
+
+
+class NumericalError(ShakeError):
+    """A Riccati, Lyapunov or discretisation result failed its own check."""
+
+
+def unknown(kind: type[ShakeError], field: str, value: str, known: Iterable[str]) -> ShakeError:
+    """Return an error of type `kind` for a name that is not among the `known` ones."""
+    names = sorted(known)
+    near = get_close_matches(value, names, n=1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return kind(field, value, f"{hint}known: {', '.join(names)}")
