@@ -9,6 +9,7 @@ Sampled-Data Control Systems, 1995).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from shake_env.errors import NumericalError, ParameterError
 from shake_env.objective import StageCost
 from shake_env.parameters import FloatArray
 from shake_env.plant import REFERENCE_CURRENT, CoupledPlant
+from shake_env.scenario import Scenario
 
 IntArray = NDArray[np.intp]
 
@@ -33,6 +35,39 @@ class StationaryPerformance:
     acceleration_rms_ratio: float  # relative to the target's rms [-]
     base_shear_rms_ratio: float  # relative to the reference's rms [-]
     current_rms: float  # [A]
+
+
+class LinearFeedback:
+    """A state feedback as a `Controller`: observation in, fraction of the current limit out.
+
+    Parameters
+    ----------
+    scenario
+        Whose observation it reads and whose current limit it is scaled by.
+    gain
+        (n,) [A per SI unit of each state], ``u = -gain @ x``.
+    """
+
+    def __init__(self, scenario: Scenario, gain: FloatArray) -> None:
+        if gain.shape != (scenario.plant.layout.order,):
+            raise ParameterError("gain shape", gain.shape, f"must be ({scenario.plant.layout.order},)")
+        self._row = -gain * scenario.plant.state_scale / scenario.current_limit
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: tuple[Any, ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
+        """Return the action (..., 1) for an observation (..., n), within [-1, 1]."""
+        action = np.clip(observation @ self._row, -1.0, 1.0)
+        return action[..., None].astype(np.float32), None
+
+
+def lqr(scenario: Scenario) -> LinearFeedback:
+    """Return the sampled-data LQR of a scenario's own model and objective, ready to drive it."""
+    return LinearFeedback(scenario, sampled_lqr(scenario.discrete, scenario.stage_cost).gain)
 
 
 @dataclass(frozen=True)

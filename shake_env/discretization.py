@@ -103,7 +103,7 @@ def noise_covariance(A: FloatArray, B: FloatArray, dt: float, scale: FloatArray)
     generator[:n, n:] = B_scaled @ B_scaled.T
     generator[n:, n:] = A_scaled.T
     power = expm(generator * dt)
-    covariance = power[n:, n:].T @ power[:n, n:]
+    covariance: FloatArray = power[n:, n:].T @ power[:n, n:]
     return 0.5 * (covariance + covariance.T) * np.outer(scale, scale)
 
 

@@ -99,6 +99,6 @@ class StageCost:
         )
 
     def motionless(self, plant: CoupledPlant) -> float:
-        """Return the expected stage cost of a table that stands still under the unit-intensity target."""
+        """Return the expected stage cost of a table that stands still under the unit target."""
         force = self.force and self.force * plant.reference_shear_variance
         return self.acceleration * plant.target_variance + force

@@ -15,6 +15,8 @@ from scipy.linalg import solve_continuous_lyapunov
 from shake_env.errors import ParameterError
 from shake_env.parameters import Actuator, FloatArray, GroundFilter, ModelEquations, Specimen
 
+LOAD_PRESSURE, TABLE_DISPLACEMENT, TABLE_VELOCITY, SPOOL_POSITION = range(4)  # places in x_A
+
 REFERENCE_CURRENT = 0.025  # [A] rated current of the valve; unit of the current in the stage cost
 
 
@@ -97,7 +99,7 @@ class StateLayout:
     @property
     def table_displacement(self) -> int:
         """Index of x_a."""
-        return self.filter_states + 1
+        return self.filter_states + TABLE_DISPLACEMENT
 
     @property
     def names(self) -> tuple[str, ...]:

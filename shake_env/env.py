@@ -1,0 +1,215 @@
+"""The Gymnasium environment of one table: thin over `Simulation`."""
+
+from __future__ import annotations
+
+from typing import Any, Unpack
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from shake_env.errors import ScenarioError
+from shake_env.limits import OBSERVATION_BOUND, REASONS
+from shake_env.motion import FilteredNoise, Motion, RecordedMotion
+from shake_env.parameters import FloatArray
+from shake_env.scenario import Overrides, Scenario, make_scenario
+from shake_env.simulation import Simulation, StepResult, checked_action, episode_stream
+
+INFO_KEYS = (
+    "table_acceleration",
+    "target_acceleration",
+    "base_shear",
+    "reference_base_shear",
+    "current",
+    "table_displacement",
+    "table_velocity",
+    "load_pressure",
+    "acceleration_cost",
+    "force_cost",
+    "current_cost",
+    "limit_cost",
+)
+
+
+FloatBox = spaces.Space[NDArray[np.float32]]
+
+
+class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """A shake table that has to make its specimen feel a recorded earthquake.
+
+    A servo-hydraulic actuator moves a table with a multi-storey specimen on it. The agent sets the
+    current of the servovalve. What it is judged by is how well the table repeats a target acceleration
+    and, above all, how well the force in the specimen (its base shear) repeats that of the same
+    specimen on real ground. Plant and objective: Gavin and Hoagg, "Control Objectives for Seismic
+    Simulators", ACC 2009, with the corrections that ``docs/reproduction.md`` shows.
+
+    ## Action
+
+    ``Box(-1, 1, (1,), float32)``: valve current as a fraction of ``scenario.current_limit`` (0.125 A
+    in the linear scenario, five times the rated current), held over one control period. What lies
+    outside is clipped. A wrong shape or a value that is not finite raises ``ActionError``.
+
+    ## Observation
+
+    ``Box(-1000, 1000, (6 + 4 stories,), float32)``: the full state in the order below, each entry
+    divided by ``scenario.plant.state_scale``, its rms (SI) in a table that tracks the unit-intensity
+    target perfectly. With the Clough-Penzien high-pass the ground part has four entries, and the
+    observation two more.
+
+    | entries | meaning | SI unit |
+    |---|---|---|
+    | 0 | ground filter x_w | m/s |
+    | 1 | ground filter x_w' | m/s^2 |
+    | (2, 3) | (ground displacement, velocity: only with the high-pass) | (m, m/s) |
+    | 2 | load pressure p_l | Pa |
+    | 3 | table displacement x_a | m |
+    | 4 | table velocity v_a | m/s |
+    | 5 | valve spool position x_v | m |
+    | 6 ... | specimen: displacement of each floor relative to the table, then velocities | m, m/s |
+    | 6 + 2 stories ... | reference specimen on real ground, likewise | m, m/s |
+
+    ## Reward
+
+    Minus the stage cost of the control period: the mean over its physics steps, taken after each, of
+    ``w_a (y_A - y~)^2 / ||G_W||^2 + w_f (f_s - f~_s)^2 / ||f~_s||^2``, plus ``w_u (u / 25 mA)^2``, with
+    weights 1, 1 and 0.01 by default; ``objective=Objective.raw(q_1, q_2, r)`` gives the paper's raw
+    weights. Breaking a limit costs five times what a motionless table would pay over the rest of the
+    motion (``limit_cost`` in ``info``), so that ending an episode never pays.
+
+    ## Start and end
+
+    Table and specimen start at rest, with the motion at its beginning. ``truncated`` at the end of the
+    motion. ``terminated`` when a limit is broken; ``info["broken_limit"]`` names it. In the linear
+    scenario limits are off and only divergence (a scaled state outside the observation's bounds) ends
+    an episode; ``limits="laboratory"`` switches on stroke, velocity, pressure and acceleration.
+
+    ## Info
+
+    After each step, at the end of the control period and in SI: ``table_acceleration``,
+    ``target_acceleration`` [m/s^2], ``base_shear``, ``reference_base_shear`` [N], ``current`` [A],
+    ``table_displacement`` [m], ``table_velocity`` [m/s], ``load_pressure`` [Pa]; and the cost terms of
+    the period ``acceleration_cost``, ``force_cost``, ``current_cost``, ``limit_cost`` [-].
+
+    ## Arguments
+
+    ``scenario``: ``"linear"`` (default), ``"as-printed"``, or a ``Scenario``. Any of its parts can be
+    changed by a keyword: ``stories``, ``mass_ratio``, ``storey_frequency``, ``damping_ratio``,
+    ``specimen``, ``equations``, ``physics_step``, ``control_rate``, ``acceleration_weight``,
+    ``force_weight``, ``current_weight``, ``objective``, ``motion``, ``record``, ``amplitude``,
+    ``duration``, ``time_compression``, ``highpass_frequency``, ``current_limit``, ``limits`` (see
+    ``make_scenario``). ``reset(options={"motion": ...})`` takes another motion for one episode.
+
+    ## Versions
+
+    v0: first release.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012  # declared as an instance variable by Gymnasium
+
+    def __init__(
+        self,
+        scenario: str | Scenario = "linear",
+        *,
+        render_mode: str | None = None,
+        **overrides: Unpack[Overrides],
+    ) -> None:
+        refuse_rendering(render_mode)
+        self.scenario = make_scenario(scenario, overrides)
+        self.render_mode = render_mode
+        self.observation_space, self.action_space = single_spaces(self.scenario)
+        self._simulation = Simulation(self.scenario, lanes=1)
+        self._running = False
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start an episode; ``options={"motion": ...}`` sets its motion.
+
+        Returns
+        -------
+        observation, info
+            The scaled state (n,) and the info of a table at rest.
+        """
+        super().reset(seed=seed)
+        motion = motion_option(options)
+        observation = self._simulation.start(
+            [0], [episode_stream(self.np_random)], None if motion is None else [motion]
+        )
+        self._running = True
+        return observation[0], dict.fromkeys(INFO_KEYS, 0.0)
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Hold `action` (1,) for one control period.
+
+        Raises
+        ------
+        ActionError
+            If the action has another shape or is not finite.
+        ScenarioError
+            If no episode is running.
+        """
+        if not self._running:
+            raise ScenarioError("step()", "no episode is running", "call reset() first")
+        result = self._simulation.step(checked_action(action, (1,)))
+        info: dict[str, Any] = {key: float(value[0]) for key, value in step_info(result).items()}
+        terminated, truncated = bool(result.terminated[0]), bool(result.truncated[0])
+        if terminated:
+            info["broken_limit"] = REASONS[int(result.outcome.broken[0]) - 1]
+        self._running = not (terminated or truncated)
+        return result.observation[0], float(result.reward[0]), terminated, truncated, info
+
+
+def refuse_rendering(render_mode: str | None) -> None:
+    """Raise ScenarioError unless no rendering is asked for."""
+    if render_mode is not None:
+        raise ScenarioError("render_mode", render_mode, "this version draws nothing: use None")
+
+
+def single_spaces(scenario: Scenario) -> tuple[FloatBox, FloatBox]:
+    """Return the observation and action space of one table."""
+    size = (scenario.plant.layout.order,)
+    bound = OBSERVATION_BOUND
+    observation: Any = spaces.Box(-bound, bound, size, np.float32)
+    action: Any = spaces.Box(-1.0, 1.0, (1,), np.float32)
+    return observation, action
+
+
+def motion_option(options: dict[str, Any] | None) -> Motion | None:
+    """Return the motion that reset's options name, or None.
+
+    Raises
+    ------
+    ScenarioError
+        If there is another option, or the motion is none.
+    """
+    for name in options or {}:
+        if name != "motion":
+            raise ScenarioError("reset option", name, "known: motion")
+    motion = (options or {}).get("motion")
+    if motion is not None and not isinstance(motion, FilteredNoise | RecordedMotion):
+        raise ScenarioError("motion", motion, "must be a FilteredNoise or a RecordedMotion")
+    return motion
+
+
+def step_info(result: StepResult) -> dict[str, FloatArray]:
+    """Return what a step reports, one array (N,) for each of `INFO_KEYS`, in SI."""
+    outcome, ground = result.outcome, result.ground
+    response, state = outcome.response, outcome.response.state
+    values = (
+        response.table_acceleration[:, -1],
+        ground.target[:, -1].copy(),
+        response.base_shear[:, -1],
+        ground.reference_shear[:, -1].copy(),
+        outcome.current,
+        state[:, 1],
+        state[:, 2],
+        state[:, 0],
+        outcome.cost.acceleration,
+        outcome.cost.force,
+        outcome.cost.current,
+        result.limit_cost,
+    )
+    return dict(zip(INFO_KEYS, values, strict=True))

@@ -1,0 +1,113 @@
+"""Limits whose breaking ends an episode, and what that costs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import array_api_compat
+
+from shake_env.errors import ParameterError
+from shake_env.parameters import require_positive
+from shake_env.plant import LOAD_PRESSURE, TABLE_DISPLACEMENT, TABLE_VELOCITY
+
+Array = Any  # a numpy array or a torch tensor
+
+OBSERVATION_BOUND = 1e3  # [-] bound of every scaled observation; a table out there has diverged
+
+REASONS = (
+    "diverged",
+    "table_displacement",
+    "table_velocity",
+    "load_pressure",
+    "table_acceleration",
+)  # a step's `broken` code minus one is an index into this
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """Limits of the table; None switches one off. The default is the paper's linear setting: all off.
+
+    One is always on: an episode ends as "diverged" when a scaled state (other than the position, which
+    may drift) leaves ``+-state_limit``, for no finite observation could describe it. Breaking a limit
+    costs `cost_factor` times the cost of a table that stands still, for each control period that
+    remains, up to `cost_horizon`. Standing still is open to any policy at any time, so that with a
+    factor above 1 ending an episode never pays; training under a discount may shorten the horizon to a
+    few times the discount's own.
+
+    Raises
+    ------
+    ParameterError
+        If a limit, factor or horizon is not above zero (the factor: at least 1).
+    """
+
+    table_displacement: float | None = None  # [m]
+    table_velocity: float | None = None  # [m/s]
+    load_pressure: float | None = None  # [Pa]
+    table_acceleration: float | None = None  # [m/s^2]
+    state_limit: float = OBSERVATION_BOUND  # [-] multiples of CoupledPlant.state_scale
+    cost_factor: float = 5.0  # [-]
+    cost_horizon: float | None = None  # [s]; None: to the end of the motion
+
+    def __post_init__(self) -> None:
+        for field in (*REASONS[1:], "cost_horizon"):
+            if getattr(self, field) is not None:
+                require_positive(self, field)
+        require_positive(self, "state_limit")
+        if self.state_limit > OBSERVATION_BOUND:
+            raise ParameterError(
+                "state_limit",
+                self.state_limit,
+                f"must not exceed the observation's bound {OBSERVATION_BOUND}",
+            )
+        if not 1.0 <= self.cost_factor < float("inf"):
+            raise ParameterError("cost_factor", self.cost_factor, "must be at least 1, or crashing pays")
+
+    @classmethod
+    def laboratory(cls) -> Limits:
+        """Return the limits of the table of Table I: stroke, flow, supply pressure, 5 g."""
+        return cls(
+            table_displacement=0.076, table_velocity=0.65, load_pressure=21e6, table_acceleration=49.0
+        )
+
+    @classmethod
+    def named(cls, name: str) -> Limits:
+        """Return the limits called `name`: ``"off"`` or ``"laboratory"``."""
+        known: dict[str, Callable[[], Limits]] = {"off": cls, "laboratory": cls.laboratory}
+        if name not in known:
+            raise ParameterError("limits", name, f"known: {', '.join(sorted(known))}")
+        return known[name]()
+
+    def broken(self, scaled_state: Array, state: Array, table_acceleration: Array) -> Array:
+        """Return 0 where every limit holds, else 1 + the index in `REASONS` of the first broken one.
+
+        Parameters
+        ----------
+        scaled_state
+            (..., 4 + 2 stories) [x_A, x_S] over its scale.
+        state
+            (..., 4 + 2 stories) in SI.
+        table_acceleration
+            (..., k) [m/s^2].
+        """
+        xp = array_api_compat.array_namespace(state)
+        size = xp.abs(scaled_state)
+        # `not <=`, so that a NaN counts as diverged.
+        inside = size <= self.state_limit
+        kept = xp.all(inside[..., :TABLE_DISPLACEMENT], axis=-1) & xp.all(
+            inside[..., TABLE_DISPLACEMENT + 1 :], axis=-1
+        )
+        code = xp.where(kept, 0, 1)
+        checks = (
+            (2, self.table_displacement, state[..., TABLE_DISPLACEMENT]),
+            (3, self.table_velocity, state[..., TABLE_VELOCITY]),
+            (4, self.load_pressure, state[..., LOAD_PRESSURE]),
+        )
+        for number, limit, value in checks:
+            if limit is not None:
+                code = xp.where((code == 0) & (xp.abs(value) > limit), number, code)
+        if self.table_acceleration is not None:
+            peak = xp.max(xp.abs(table_acceleration), axis=-1)
+            code = xp.where((code == 0) & (peak > self.table_acceleration), 5, code)
+        return code

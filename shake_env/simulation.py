@@ -1,0 +1,169 @@
+"""A batch of tables in their episodes: what both environments, SB3's VecEnv and roll-outs step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from shake_env.errors import ActionError
+from shake_env.excitation import Excitation, GroundPeriod, control_steps
+from shake_env.limits import OBSERVATION_BOUND
+from shake_env.motion import Motion
+from shake_env.parameters import FloatArray
+from shake_env.scenario import Scenario
+from shake_env.transition import Outcome, TableModel
+
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """One control period of N tables."""
+
+    observation: NDArray[np.float32]  # (N, n) full scaled state after the period, fresh memory
+    reward: FloatArray  # (N,) minus stage cost, minus the cost of a broken limit
+    terminated: BoolArray  # (N,) a limit was broken
+    truncated: BoolArray  # (N,) the motion ended, and no limit was broken
+    outcome: Outcome
+    ground: GroundPeriod
+    limit_cost: FloatArray  # (N,) what a broken limit cost
+
+
+class Simulation:
+    """N tables, each with its own motion, random stream and place in its episode.
+
+    Parameters
+    ----------
+    scenario
+        What is simulated.
+    lanes
+        Number of tables N.
+    """
+
+    def __init__(self, scenario: Scenario, lanes: int) -> None:
+        self.scenario = scenario
+        self.model = TableModel.of(scenario)
+        self.lanes = lanes
+        self.excitation = Excitation(scenario.discrete, lanes)
+        self.state = np.zeros((lanes, self.model.dynamics.states))  # [x_A, x_S] SI
+        self.step_count = np.zeros(lanes, dtype=int)  # control periods since each lane's start
+        self.episode_steps = np.zeros(lanes, dtype=int)
+        motionless = scenario.stage_cost.motionless(scenario.plant)
+        self._limit_rate = scenario.limits.cost_factor * motionless
+        horizon = scenario.limits.cost_horizon
+        self._limit_steps = None if horizon is None else max(1, round(horizon / scenario.control_period))
+
+    @property
+    def observation_size(self) -> int:
+        """Length n of the full state."""
+        return self.scenario.plant.layout.order
+
+    def start(
+        self,
+        lanes: Sequence[int],
+        streams: Sequence[np.random.Generator],
+        motions: Sequence[Motion] | None = None,
+    ) -> NDArray[np.float32]:
+        """Begin an episode in each of `lanes`: table and specimen at rest, a motion from its start.
+
+        Parameters
+        ----------
+        lanes
+            Indices of the tables.
+        streams
+            One generator a lane, used up by its episode alone.
+        motions
+            One motion a lane; None takes the scenario's.
+
+        Returns
+        -------
+        Observations (len(lanes), n).
+        """
+        chosen = [self.scenario.motion] * len(lanes) if motions is None else list(motions)
+        ground = self.excitation.start(lanes, chosen, streams)
+        period, physics_step = self.scenario.control_period, self.scenario.physics_step
+        index = np.asarray(lanes, dtype=int)
+        self.state[index] = 0.0
+        self.step_count[index] = 0
+        self.episode_steps[index] = [control_steps(m, period, physics_step) for m in chosen]
+        return self._observe(self.state[index], ground)
+
+    def step(self, action: FloatArray) -> StepResult:
+        """Advance every table by one control period under `action` (N,), finite."""
+        ground = self.excitation.advance()
+        outcome = self.model.transition(self.state, action, ground)
+        self.state = outcome.response.state
+        self.step_count += 1
+        terminated = outcome.broken != 0
+        truncated = (self.step_count >= self.episode_steps) & ~terminated
+        limit_cost = np.zeros(self.lanes)
+        if terminated.any():
+            remaining = np.maximum(self.episode_steps - self.step_count, 1)
+            if self._limit_steps is not None:
+                remaining = np.minimum(remaining, self._limit_steps)
+            limit_cost = np.where(terminated, self._limit_rate * remaining, 0.0)
+        return StepResult(
+            self._observe(self.state, ground),
+            -(outcome.cost.total + limit_cost),
+            terminated,
+            truncated,
+            outcome,
+            ground,
+            limit_cost,
+        )
+
+    def _observe(self, state: FloatArray, ground: GroundPeriod) -> NDArray[np.float32]:
+        scaled = self.model.observe(state, ground)
+        # Only the drifting position, or a table that has just diverged, comes near the bound.
+        bounded = np.clip(scaled, -OBSERVATION_BOUND, OBSERVATION_BOUND)
+        finite: NDArray[np.float32] = np.nan_to_num(bounded, copy=False).astype(np.float32)
+        return finite
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return everything that `restore` needs to go on exactly."""
+        return {
+            "excitation": self.excitation.snapshot(),
+            "state": self.state.copy(),
+            "step_count": self.step_count.copy(),
+            "episode_steps": self.episode_steps.copy(),
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go on from a `snapshot` of a simulation of the same scenario and number of lanes."""
+        self.excitation.restore(snapshot["excitation"])
+        self.state = snapshot["state"].copy()
+        self.step_count = snapshot["step_count"].copy()
+        self.episode_steps = snapshot["episode_steps"].copy()
+
+
+def checked_action(action: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    """Return `action` as float64 of `shape`.
+
+    Raises
+    ------
+    ActionError
+        If it has another shape, or is not all finite numbers.
+    """
+    try:
+        array = np.asarray(action, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ActionError("action", action, f"must be numbers of shape {shape}") from None
+    if array.shape != shape:
+        raise ActionError("action shape", array.shape, f"must be {shape}")
+    if not np.isfinite(array).all():
+        raise ActionError(
+            "action", action, "must be finite: current as a fraction of the limit, -1 to 1"
+        )
+    return array
+
+
+def episode_stream(generator: np.random.Generator) -> np.random.Generator:
+    """Return the stream of a lane's next episode.
+
+    Spawned, so that how far ahead the ground is computed never shows in what comes after.
+    """
+    return generator.spawn(1)[0]

@@ -1,0 +1,104 @@
+"""One control period of an episode: action in, next state, response, cost and limits out.
+
+Pure, and written against the array API: the environments run it on numpy arrays, learning through the
+plant on torch tensors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import array_api_compat
+
+from shake_env.dynamics import PeriodResponse, TableDynamics, as_like
+from shake_env.excitation import GroundPeriod
+from shake_env.limits import Limits
+from shake_env.objective import CostTerms, StageCost
+from shake_env.scenario import Scenario
+
+Array = Any  # a numpy array or a torch tensor
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one control period brought."""
+
+    response: PeriodResponse
+    current: Array  # (...) [A]
+    cost: CostTerms  # each (...)
+    broken: Array  # (...) 0, or 1 + index in limits.REASONS
+
+
+@dataclass(frozen=True)
+class TableModel:
+    """Everything of a scenario that a step needs, in the library of one array."""
+
+    dynamics: TableDynamics
+    stage_cost: StageCost
+    limits: Limits
+    current_limit: float  # [A]
+    observation_scale: Array  # (n,) SI size of each entry of the full state
+    filter_states: int
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> TableModel:
+        """Return the model of a scenario, in numpy."""
+        return _model(scenario)
+
+    def like(self, array: Array) -> TableModel:
+        """Return this model in the library, precision and device of `array`."""
+        return TableModel(
+            self.dynamics.like(array),
+            self.stage_cost,
+            self.limits,
+            self.current_limit,
+            as_like(self.observation_scale, array),
+            self.filter_states,
+        )
+
+    def transition(self, state: Array, action: Array, ground: GroundPeriod) -> Outcome:
+        """Advance the table by one control period.
+
+        Parameters
+        ----------
+        state
+            (..., 4 + 2 stories) [x_A, x_S] in SI.
+        action
+            (...) current as a fraction of the limit; clipped to [-1, 1].
+        ground
+            The ground over this period.
+        """
+        xp = array_api_compat.array_namespace(state, action)
+        current = self.current_limit * xp.clip(action, -1.0, 1.0)
+        response = self.dynamics.control_step(state, current, ground.drive)
+        cost = self.stage_cost.terms(
+            response.table_acceleration,
+            ground.target,
+            response.base_shear,
+            ground.reference_shear,
+            current,
+        )
+        first = self.filter_states
+        scale = self.observation_scale[first : first + self.dynamics.states]
+        broken = self.limits.broken(response.state / scale, response.state, response.table_acceleration)
+        return Outcome(response, current, cost, broken)
+
+    def observe(self, state: Array, ground: GroundPeriod) -> Array:
+        """Return the full scaled state (..., n), ``[x_W, x_A, x_S, x~_S]`` over its scale."""
+        xp = array_api_compat.array_namespace(state)
+        full = xp.concat([ground.ground, state, ground.reference], axis=-1)
+        return full / self.observation_scale
+
+
+@lru_cache(maxsize=32)
+def _model(scenario: Scenario) -> TableModel:
+    return TableModel(
+        TableDynamics.of(scenario.discrete),
+        scenario.stage_cost,
+        scenario.limits,
+        scenario.current_limit,
+        scenario.plant.state_scale,
+        scenario.plant.layout.filter_states,
+    )

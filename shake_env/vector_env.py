@@ -1,0 +1,180 @@
+"""The Gymnasium vector environment: N tables in one batch, thin over `Simulation`."""
+
+from __future__ import annotations
+
+from typing import Any, Unpack
+
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from shake_env.env import motion_option, refuse_rendering, single_spaces, step_info
+from shake_env.errors import ParameterError, ScenarioError
+from shake_env.limits import REASONS
+from shake_env.parameters import FloatArray
+from shake_env.scenario import Overrides, Scenario, make_scenario
+from shake_env.simulation import BoolArray, Simulation, checked_action, episode_stream
+
+
+class ShakeTableVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+    """N shake tables, stepped together; each lane is what `ShakeTableEnv` is alone.
+
+    The spaces, reward, episode ends and `info` are those of ``ShakeTableEnv``, with a leading axis of
+    N lanes. Lane i of ``reset(seed=s)`` repeats the single environment's ``reset(seed=s + i)`` and all
+    the episodes that follow it, in any batch size.
+
+    Parameters
+    ----------
+    num_envs
+        Number of tables N.
+    scenario, overrides
+        As for ``ShakeTableEnv``.
+    autoreset_mode
+        ``NEXT_STEP`` (default): the step after an episode's end ignores the lane's action and starts
+        its next episode. ``SAME_STEP``: the ending step starts it and hands the last observation and
+        info over as ``final_obs`` and ``final_info``. ``DISABLED``: the caller resets, with
+        ``reset(options={"reset_mask": mask})``.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scenario: str | Scenario = "linear",
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **overrides: Unpack[Overrides],
+    ) -> None:
+        refuse_rendering(render_mode)
+        if not isinstance(num_envs, int | np.integer) or num_envs < 1:
+            raise ParameterError("num_envs", num_envs, "must be a whole number of at least 1")
+        self.num_envs = int(num_envs)
+        self.scenario = make_scenario(scenario, overrides)
+        self.render_mode = render_mode
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self.single_observation_space, self.single_action_space = single_spaces(self.scenario)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._simulation = Simulation(self.scenario, self.num_envs)
+        self._streams: list[np.random.Generator | None] = [None] * self.num_envs
+        self._ended = np.ones(self.num_envs, dtype=bool)  # lanes whose episode is over
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start an episode in every lane, or in those of ``options["reset_mask"]`` (N,) of bool.
+
+        Parameters
+        ----------
+        seed
+            s for seeds s, s + 1, ..., or one a lane; None goes on with each lane's stream.
+        options
+            ``reset_mask``, and ``motion`` for the motion of all these episodes.
+        """
+        seeds = self._seeds(seed)
+        rest = dict(options or {})
+        lanes = np.flatnonzero(self._mask(rest.pop("reset_mask", None)))
+        motion = motion_option(rest)
+        for lane in lanes:
+            if seeds[lane] is not None or self._streams[lane] is None:
+                self._streams[lane], _ = seeding.np_random(seeds[lane])
+        observation = np.zeros(self.observation_space.shape or (), dtype=np.float32)
+        # Lanes that go on keep the observation they have.
+        observation[:] = self._last if len(lanes) < self.num_envs else 0.0
+        observation[lanes] = self._start(lanes, motion)
+        self._last = observation
+        return observation.copy(), {}
+
+    _last: NDArray[np.float32] | float = 0.0
+
+    def step(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], FloatArray, BoolArray, BoolArray, dict[str, Any]]:
+        """Hold `actions` (N, 1) for one control period.
+
+        Raises
+        ------
+        ActionError
+            If the actions have another shape or are not finite.
+        ScenarioError
+            If a lane's episode is over and nothing resets it.
+        """
+        action = checked_action(actions, (self.num_envs, 1))[:, 0]
+        over = self._ended
+        if over.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or self._streams[0] is None):
+            raise ScenarioError(
+                "lanes", np.flatnonzero(over).tolist(), "their episode is over: reset() them first"
+            )
+        result = self._simulation.step(action)
+        observation, reward = result.observation, result.reward
+        terminated, truncated = result.terminated, result.truncated
+        if over.any():
+            lanes = np.flatnonzero(over)
+            observation[lanes] = self._start(lanes, None)
+            reward[lanes], terminated[lanes], truncated[lanes] = 0.0, False, False
+        info = self._info(result, ~over)
+        done = terminated | truncated
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and done.any():
+            lanes = np.flatnonzero(done)
+            final = np.full(self.num_envs, None, dtype=object)
+            for lane in lanes:
+                final[lane] = observation[lane].copy()
+            final_info = {key: value for key, value in info.items() if not key.startswith("_")}
+            final_info.update({f"_{key}": done for key in final_info})
+            info = {
+                "final_obs": final,
+                "_final_obs": done,
+                "final_info": final_info,
+                "_final_info": done,
+            }
+            observation[lanes] = self._start(lanes, None)
+            self._ended = np.zeros_like(done)
+        else:
+            self._ended = done
+        self._last = observation
+        return observation.copy(), reward, terminated, truncated, info
+
+    def _start(self, lanes: NDArray[np.intp], motion: Any) -> NDArray[np.float32]:
+        streams = []
+        for lane in lanes:
+            stream = self._streams[lane]
+            assert stream is not None  # reset() made it
+            streams.append(episode_stream(stream))
+        self._ended[lanes] = False
+        motions = None if motion is None else [motion] * len(lanes)
+        return self._simulation.start(lanes.tolist(), streams, motions)
+
+    def _info(self, result: Any, stepped: BoolArray) -> dict[str, Any]:
+        info: dict[str, Any] = {}
+        for key, value in step_info(result).items():
+            info[key], info[f"_{key}"] = value, stepped
+        if result.terminated.any():
+            names = np.array([None, *REASONS], dtype=object)
+            info["broken_limit"] = names[np.where(result.terminated, result.outcome.broken, 0)]
+            info["_broken_limit"] = result.terminated
+        return info
+
+    def _seeds(self, seed: int | list[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, int | np.integer):
+            return [int(seed) + lane for lane in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ParameterError(
+                "seed", seed, f"give one number, or one for each of {self.num_envs} lanes"
+            )
+        return list(seed)
+
+    def _mask(self, mask: BoolArray | None) -> BoolArray:
+        if mask is None:
+            return np.ones(self.num_envs, dtype=bool)
+        if not isinstance(mask, np.ndarray) or mask.dtype != bool or mask.shape != (self.num_envs,):
+            raise ParameterError(
+                "reset_mask", mask, f"must be an array of bool, shape ({self.num_envs},)"
+            )
+        if not mask.any():
+            raise ParameterError("reset_mask", mask, "must pick at least one lane")
+        return mask
