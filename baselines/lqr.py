@@ -24,6 +24,11 @@ from shake_env.scenario import Scenario
 
 IntArray = NDArray[np.intp]
 
+_NO_SOLUTION = (
+    "has no stabilising solution that arithmetic can find: damp every storey, and where the table has a "
+    "stiffness give the valve a leakage"
+)
+
 
 @dataclass(frozen=True)
 class StationaryPerformance:
@@ -35,6 +40,20 @@ class StationaryPerformance:
     acceleration_rms_ratio: float  # relative to the target's rms [-]
     base_shear_rms_ratio: float  # relative to the reference's rms [-]
     current_rms: float  # [A]
+
+
+def action_row(scenario: Scenario, gain: FloatArray) -> FloatArray:
+    """Return ``u = -gain @ x`` as a row (n,): fraction of the current limit per observation entry.
+
+    Raises
+    ------
+    ParameterError
+        If the gain has not one entry a state.
+    """
+    if gain.shape != (scenario.plant.layout.order,):
+        raise ParameterError("gain shape", gain.shape, f"must be ({scenario.plant.layout.order},)")
+    row: FloatArray = -gain * scenario.plant.state_scale / scenario.current_limit
+    return row
 
 
 class LinearFeedback:
@@ -49,9 +68,7 @@ class LinearFeedback:
     """
 
     def __init__(self, scenario: Scenario, gain: FloatArray) -> None:
-        if gain.shape != (scenario.plant.layout.order,):
-            raise ParameterError("gain shape", gain.shape, f"must be ({scenario.plant.layout.order},)")
-        self._row = -gain * scenario.plant.state_scale / scenario.current_limit
+        self._row = action_row(scenario, gain)
 
     def predict(
         self,
@@ -138,7 +155,10 @@ def sampled_lqr(discrete: DiscretePlant, cost: StageCost) -> LQRDesign:
     Q = np.einsum("koi,koj->ij", Z_x, Z_x) / k
     S = np.einsum("koi,koj->ij", Z_x, Z_u) / k
     R = np.einsum("koi,koj->ij", Z_u, Z_u) / k + cost.current * REFERENCE_CURRENT**2
-    P = solve_discrete_are(p.F, p.G, Q, R, s=S)
+    try:
+        P = solve_discrete_are(p.F, p.G, Q, R, s=S)
+    except (ValueError, np.linalg.LinAlgError) as error:  # scipy raises either
+        raise NumericalError("Riccati equation", str(error), _NO_SOLUTION) from error
     K = np.linalg.solve(R + p.G.T @ P @ p.G, p.G.T @ P @ p.F + S.T)
     residual = p.F.T @ P @ p.F - P + Q - (p.F.T @ P @ p.G + S) @ K
     if not np.max(np.abs(residual)) <= 1e-8 * np.max(np.abs(P)):
@@ -171,6 +191,8 @@ def stationary_performance(
     """
     if gain.shape != (discrete.layout.order,):
         raise ParameterError("gain shape", gain.shape, f"must be ({discrete.layout.order},)")
+    if not np.isfinite(gain).all():
+        raise ParameterError("gain", gain, "must be finite")
     p, plant = _ScaledProblem.of(discrete), discrete.plant
     K = (gain[p.kept] * p.scale / REFERENCE_CURRENT)[None, :]
     closed = p.F - p.G @ K

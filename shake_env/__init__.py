@@ -23,6 +23,8 @@ register(
     vector_entry_point="shake_env.vector_env:ShakeTableVectorEnv",
 )
 
+__version__ = "0.1.0"
+
 __all__ = [
     "RECORD_NAMES",
     "Actuator",

@@ -74,8 +74,9 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     Minus the stage cost of the control period: the mean over its physics steps, taken after each, of
     ``w_a (y_A - y~)^2 / ||G_W||^2 + w_f (f_s - f~_s)^2 / ||f~_s||^2``, plus ``w_u (u / 25 mA)^2``, with
     weights 1, 1 and 0.01 by default; ``objective=Objective.raw(q_1, q_2, r)`` gives the paper's raw
-    weights. Breaking a limit costs five times what a motionless table would pay over the rest of the
-    motion (``limit_cost`` in ``info``), so that ending an episode never pays.
+    weights. Breaking a limit costs five times what a motionless table would be expected to pay over the
+    rest of the motion, taken at its amplitude or at 1, whichever is more (``limit_cost`` in ``info``),
+    so that ending an episode never pays.
 
     ## Start and end
 
@@ -204,9 +205,9 @@ def step_info(result: StepResult) -> dict[str, FloatArray]:
         response.base_shear[:, -1],
         ground.reference_shear[:, -1].copy(),
         outcome.current,
-        state[:, 1],
-        state[:, 2],
-        state[:, 0],
+        state[:, 1].copy(),  # a view would hand out the table's own state
+        state[:, 2].copy(),
+        state[:, 0].copy(),
         outcome.cost.acceleration,
         outcome.cost.force,
         outcome.cost.current,

@@ -7,6 +7,7 @@ that a step reads one contiguous slice. Memory is the block's, never the episode
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -270,7 +271,7 @@ class Excitation:
         """Return everything that `restore` needs to go on exactly, as plain picklable values."""
         return {
             "motions": list(self._motions),
-            "streams": [None if s is None else s.bit_generator.state for s in self._streams],
+            "streams": copy.deepcopy(self._streams),
             "filled": self._filled.copy(),
             "tail": self._tail.copy(),
             "buffer": self._buffer.copy(),
@@ -280,14 +281,8 @@ class Excitation:
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Go on from a `snapshot` of an excitation of the same plant and number of lanes."""
         self._motions = list(snapshot["motions"])
-        self._streams = [None if s is None else _generator(s) for s in snapshot["streams"]]
+        self._streams = copy.deepcopy(snapshot["streams"])
         self._filled[:] = snapshot["filled"]
         self._tail[:] = snapshot["tail"]
         self._buffer[:] = snapshot["buffer"]
         self._cursor = snapshot["cursor"]
-
-
-def _generator(state: dict[str, Any]) -> np.random.Generator:
-    generator = np.random.default_rng()
-    generator.bit_generator.state = state
-    return generator

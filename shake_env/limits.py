@@ -9,7 +9,7 @@ from typing import Any
 import array_api_compat
 
 from shake_env.errors import ParameterError
-from shake_env.parameters import require_positive
+from shake_env.parameters import is_number, require_positive
 from shake_env.plant import LOAD_PRESSURE, TABLE_DISPLACEMENT, TABLE_VELOCITY
 
 Array = Any  # a numpy array or a torch tensor
@@ -31,8 +31,9 @@ class Limits:
 
     One is always on: an episode ends as "diverged" when a scaled state (other than the position, which
     may drift) leaves ``+-state_limit``, for no finite observation could describe it. Breaking a limit
-    costs `cost_factor` times the cost of a table that stands still, for each control period that
-    remains, up to `cost_horizon`. Standing still is open to any policy at any time, so that with a
+    costs `cost_factor` times the expected cost of a table that stands still (under the motion's own
+    amplitude, or the unit one where that is smaller), for each control period that remains, up to
+    `cost_horizon`. Standing still is open to any policy at any time, so that with a
     factor above 1 ending an episode never pays; training under a discount may shorten the horizon to a
     few times the discount's own.
 
@@ -61,7 +62,7 @@ class Limits:
                 self.state_limit,
                 f"must not exceed the observation's bound {OBSERVATION_BOUND}",
             )
-        if not 1.0 <= self.cost_factor < float("inf"):
+        if not (is_number(self.cost_factor) and 1.0 <= self.cost_factor < float("inf")):
             raise ParameterError("cost_factor", self.cost_factor, "must be at least 1, or crashing pays")
 
     @classmethod

@@ -67,6 +67,8 @@ class RecordedMotion:
     duration: float | None = None  # [s] of table time to keep; None keeps all
 
     def __post_init__(self) -> None:
+        if not isinstance(self.record, str | Record):
+            raise ParameterError("record", self.record, "must be the name of a record, or a Record")
         require_positive(self, "time_compression")
         require_non_negative(self, "amplitude")
         if self.duration is not None:
@@ -125,7 +127,8 @@ def resample(values: FloatArray, interval: float, new_interval: float) -> FloatA
 
     A polyphase windowed sinc (Kaiser, -100 dB) of 32 lobes a side passes what lies below both Nyquist
     frequencies and keeps images and aliases out; straight lines between samples would add both. The
-    ratio of steps is taken as a fraction of whole numbers up to 10 000, a timing error below 1e-8.
+    ratio of steps is taken as a fraction of whole numbers up to 10 000: exact for the usual ones, and
+    for an irrational one (time compressed by the root of a length scale) off by about 1e-7.
 
     Parameters
     ----------
@@ -138,9 +141,12 @@ def resample(values: FloatArray, interval: float, new_interval: float) -> FloatA
     -------
     (new samples,) from the first sample's time to the last one's.
     """
-    ratio = Fraction(interval / new_interval).limit_denominator(10_000)
-    if ratio.numerator > 10_000 or ratio == 0:
-        raise ParameterError("new_interval", new_interval, f"is too far from the record's {interval} s")
+    exact = interval / new_interval
+    if not 1e-3 <= exact <= 1e3:
+        raise ParameterError(
+            "new_interval", new_interval, f"must be within a factor of 1000 of the record's {interval} s"
+        )
+    ratio = Fraction(exact).limit_denominator(int(10_000 / max(exact, 1.0)))
     up, down = ratio.numerator, ratio.denominator
     if up == down:
         return values.copy()

@@ -8,7 +8,7 @@ from typing import Any
 import array_api_compat
 
 from shake_env.errors import ParameterError
-from shake_env.parameters import require_non_negative, require_positive
+from shake_env.parameters import is_number, require_non_negative, require_positive
 from shake_env.plant import REFERENCE_CURRENT, CoupledPlant
 
 Array = Any  # a numpy array or a torch tensor
@@ -42,8 +42,8 @@ class Objective:
     def raw(cls, q_1: float, q_2: float, r: float = 1.0) -> Objective:
         """Return the paper's weights on the SI performance z of eq. 12."""
         for field, value in (("q_1", q_1), ("q_2", q_2), ("r", r)):
-            if not value >= 0.0:
-                raise ParameterError(field, value, "must be a number of at least 0")
+            if not (is_number(value) and 0.0 <= value < float("inf")):
+                raise ParameterError(field, value, "must be a finite number of at least 0")
         return cls(
             acceleration_weight=q_1**2, force_weight=q_2**2, current_weight=r**2, normalised=False
         )

@@ -25,7 +25,7 @@ def require_positive(owner: object, *fields: str) -> None:
     """Raise ParameterError unless each named field is a finite number above zero."""
     for field in fields:
         value = getattr(owner, field)
-        if not (_is_number(value) and math.isfinite(value) and value > 0.0):
+        if not (is_number(value) and math.isfinite(value) and value > 0.0):
             raise ParameterError(field, value, "must be a finite number above 0")
 
 
@@ -33,11 +33,12 @@ def require_non_negative(owner: object, *fields: str) -> None:
     """Raise ParameterError unless each named field is a finite number of at least zero."""
     for field in fields:
         value = getattr(owner, field)
-        if not (_is_number(value) and math.isfinite(value) and value >= 0.0):
+        if not (is_number(value) and math.isfinite(value) and value >= 0.0):
             raise ParameterError(field, value, "must be a finite number of at least 0")
 
 
-def _is_number(value: object) -> bool:
+def is_number(value: object) -> bool:
+    """Return whether `value` is a real number, which a bool is not."""
     return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
 
 
@@ -160,7 +161,7 @@ class Specimen:
             ("damping_ratio", damping_ratio, "of at least 0"),
             ("table_mass", table_mass, "above 0"),
         ):
-            if not (_is_number(value) and math.isfinite(value) and value >= 0.0) or (
+            if not (is_number(value) and math.isfinite(value) and value >= 0.0) or (
                 lowest == "above 0" and value == 0.0
             ):
                 raise ParameterError(field, value, f"must be a finite number {lowest}")
@@ -294,6 +295,6 @@ class ModelEquations:
     def named(cls, name: Any) -> ModelEquations:
         """Return the equations called `name`: ``"corrected"`` or ``"as_printed"``."""
         forms = {"corrected": cls.corrected, "as_printed": cls.as_printed}
-        if name not in forms:
+        if not isinstance(name, str) or name not in forms:
             raise ParameterError("equations", name, f"known: {', '.join(sorted(forms))}")
         return forms[name]()

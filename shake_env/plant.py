@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov
 
 from shake_env.errors import ParameterError
@@ -100,6 +101,11 @@ class StateLayout:
     def table_displacement(self) -> int:
         """Index of x_a."""
         return self.filter_states + TABLE_DISPLACEMENT
+
+    @property
+    def table_velocity(self) -> int:
+        """Index of v_a."""
+        return self.filter_states + TABLE_VELOCITY
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -275,26 +281,25 @@ class CoupledPlant:
     @cached_property
     def target_variance(self) -> float:
         """||G_W||^2 [(m/s^2)^2]: mean square of the stationary target at unit intensity."""
-        return self._stationary_variance(2)
+        return self._stationary_variance(2, np.r_[self.layout.ground])
 
     @cached_property
     def reference_shear_variance(self) -> float:
         """||f~_s||^2 [N^2]: mean square of the reference base shear at unit intensity."""
-        return self._stationary_variance(3)
-
-    def _stationary_variance(self, output: int) -> float:
-        if output == 3 and min(self.specimen.dampings) == 0.0:
+        if min(self.specimen.dampings) == 0.0:
             raise ParameterError(
                 "dampings",
                 self.specimen.dampings,
                 "an undamped reference specimen has no stationary base shear to normalise by: "
-                "damp every storey or use raw weights",
+                "damp every storey, or give the force no weight",
             )
-        exogenous = np.r_[self.layout.ground, self.layout.reference]
-        scale = self.state_scale[exogenous]
-        A = self.coupled.A[np.ix_(exogenous, exogenous)] * scale / scale[:, None]
-        B = self.coupled.B[exogenous, 1:] / scale[:, None]
-        row = self.coupled.C[output, exogenous] * scale
+        return self._stationary_variance(3, np.r_[self.layout.ground, self.layout.reference])
+
+    def _stationary_variance(self, output: int, states: NDArray[np.intp]) -> float:
+        scale = self.state_scale[states]
+        A = self.coupled.A[np.ix_(states, states)] * scale / scale[:, None]
+        B = self.coupled.B[states, 1:] / scale[:, None]
+        row = self.coupled.C[output, states] * scale
         return float(row @ solve_continuous_lyapunov(A, -B @ B.T) @ row)
 
     @property

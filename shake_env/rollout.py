@@ -213,12 +213,12 @@ class _Trace:
     def trajectory(self, physics_step: float, period: float) -> Trajectory:
         target, table, reference, shear = np.concatenate(self.signals, axis=-1)
         return Trajectory(
-            time=physics_step * np.arange(1, len(target) + 1),
+            time=physics_step * np.arange(1, len(target) + 1, dtype=np.float64),
             target_acceleration=target,
             table_acceleration=table,
             reference_base_shear=reference,
             base_shear=shear,
-            control_time=period * np.arange(1, len(self.current) + 1),
+            control_time=period * np.arange(1, len(self.current) + 1, dtype=np.float64),
             current=np.asarray(self.current),
             state=np.stack(self.state),
         )

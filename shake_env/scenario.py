@@ -22,6 +22,20 @@ from shake_env.parameters import (
 )
 from shake_env.plant import REFERENCE_CURRENT, CoupledPlant
 
+_KINDS: tuple[tuple[str, type | tuple[type, ...]], ...] = (
+    ("actuator", Actuator),
+    ("specimen", Specimen),
+    ("ground", GroundFilter),
+    ("equations", ModelEquations),
+    ("motion", (FilteredNoise, RecordedMotion)),
+    ("objective", Objective),
+    ("limits", Limits),
+)
+
+
+def _names(kind: type | tuple[type, ...]) -> str:
+    return " or ".join(k.__name__ for k in (kind if isinstance(kind, tuple) else (kind,)))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
@@ -32,6 +46,8 @@ class Scenario:
     ParameterError
         If a rate, step or limit is not above zero, or the control period is not a whole number of
         physics steps.
+    ScenarioError
+        If a part is of another type.
     """
 
     name: str = "linear"
@@ -49,6 +65,9 @@ class Scenario:
     limits: Limits = field(default_factory=Limits)
 
     def __post_init__(self) -> None:
+        for name, kind in _KINDS:
+            if not isinstance(getattr(self, name), kind):
+                raise ScenarioError(name, getattr(self, name), f"must be a {_names(kind)}")
         require_positive(self, "physics_step", "control_rate", "current_limit")
         ratio = 1.0 / (self.control_rate * self.physics_step)
         if round(ratio) < 1 or not math.isclose(ratio, round(ratio), rel_tol=1e-9):
@@ -149,6 +168,8 @@ def make_scenario(scenario: str | Scenario = "linear", overrides: Overrides | No
         if scenario not in NAMED:
             raise unknown(ScenarioError, "scenario", scenario, NAMED)
         scenario = NAMED[scenario]()
+    if not isinstance(scenario, Scenario):
+        raise ScenarioError("scenario", scenario, "must be a Scenario or the name of one")
     given: dict[str, Any] = dict(overrides or {})
     for name in given:
         if name not in Overrides.__annotations__:

@@ -54,6 +54,7 @@ class Simulation:
         self.episode_steps = np.zeros(lanes, dtype=int)
         motionless = scenario.stage_cost.motionless(scenario.plant)
         self._limit_rate = scenario.limits.cost_factor * motionless
+        self._severity = np.ones(lanes)  # motionless cost of each lane's motion over the unit target's
         horizon = scenario.limits.cost_horizon
         self._limit_steps = None if horizon is None else max(1, round(horizon / scenario.control_period))
 
@@ -87,9 +88,13 @@ class Simulation:
         ground = self.excitation.start(lanes, chosen, streams)
         period, physics_step = self.scenario.control_period, self.scenario.physics_step
         index = np.asarray(lanes, dtype=int)
+        # A new array: the old one is the state of the last step's result, which a caller may hold.
+        self.state = self.state.copy()
         self.state[index] = 0.0
         self.step_count[index] = 0
         self.episode_steps[index] = [control_steps(m, period, physics_step) for m in chosen]
+        # A weak motion lowers what standing still costs, but not what braking a fast table does.
+        self._severity[index] = [max(1.0, m.amplitude**2) for m in chosen]
         return self._observe(self.state[index], ground)
 
     def step(self, action: FloatArray) -> StepResult:
@@ -105,7 +110,7 @@ class Simulation:
             remaining = np.maximum(self.episode_steps - self.step_count, 1)
             if self._limit_steps is not None:
                 remaining = np.minimum(remaining, self._limit_steps)
-            limit_cost = np.where(terminated, self._limit_rate * remaining, 0.0)
+            limit_cost = np.where(terminated, self._limit_rate * self._severity * remaining, 0.0)
         return StepResult(
             self._observe(self.state, ground),
             -(outcome.cost.total + limit_cost),
@@ -130,6 +135,7 @@ class Simulation:
             "state": self.state.copy(),
             "step_count": self.step_count.copy(),
             "episode_steps": self.episode_steps.copy(),
+            "severity": self._severity.copy(),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -138,6 +144,7 @@ class Simulation:
         self.state = snapshot["state"].copy()
         self.step_count = snapshot["step_count"].copy()
         self.episode_steps = snapshot["episode_steps"].copy()
+        self._severity = snapshot["severity"].copy()
 
 
 def checked_action(action: ArrayLike, shape: tuple[int, ...]) -> FloatArray:

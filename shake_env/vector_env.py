@@ -10,12 +10,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from shake_env.env import motion_option, refuse_rendering, single_spaces, step_info
+from shake_env.env import INFO_KEYS, motion_option, refuse_rendering, single_spaces, step_info
 from shake_env.errors import ParameterError, ScenarioError
 from shake_env.limits import REASONS
 from shake_env.parameters import FloatArray
 from shake_env.scenario import Overrides, Scenario, make_scenario
-from shake_env.simulation import BoolArray, Simulation, checked_action, episode_stream
+from shake_env.simulation import BoolArray, Simulation, StepResult, checked_action, episode_stream
 
 
 class ShakeTableVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
@@ -86,7 +86,7 @@ class ShakeTableVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         observation[:] = self._last if len(lanes) < self.num_envs else 0.0
         observation[lanes] = self._start(lanes, motion)
         self._last = observation
-        return observation.copy(), {}
+        return observation.copy(), self._rest_info(lanes)
 
     _last: NDArray[np.float32] | float = 0.0
 
@@ -103,8 +103,9 @@ class ShakeTableVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
             If a lane's episode is over and nothing resets it.
         """
         action = checked_action(actions, (self.num_envs, 1))[:, 0]
-        over = self._ended
-        if over.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or self._streams[0] is None):
+        over = self._ended.copy()
+        unknown = over.any() and any(stream is None for stream in self._streams)
+        if unknown or (over.any() and self.autoreset_mode != AutoresetMode.NEXT_STEP):
             raise ScenarioError(
                 "lanes", np.flatnonzero(over).tolist(), "their episode is over: reset() them first"
             )
@@ -115,21 +116,23 @@ class ShakeTableVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
             lanes = np.flatnonzero(over)
             observation[lanes] = self._start(lanes, None)
             reward[lanes], terminated[lanes], truncated[lanes] = 0.0, False, False
-        info = self._info(result, ~over)
+        info = self._info(result, over)
         done = terminated | truncated
         if self.autoreset_mode == AutoresetMode.SAME_STEP and done.any():
             lanes = np.flatnonzero(done)
             final = np.full(self.num_envs, None, dtype=object)
             for lane in lanes:
                 final[lane] = observation[lane].copy()
-            final_info = {key: value for key, value in info.items() if not key.startswith("_")}
-            final_info.update({f"_{key}": done for key in final_info})
-            info = {
-                "final_obs": final,
-                "_final_obs": done,
-                "final_info": final_info,
-                "_final_info": done,
-            }
+            final_info: dict[str, Any] = {}
+            for key in INFO_KEYS:
+                final_info[key], final_info[f"_{key}"] = np.where(done, info[key], 0.0), done.copy()
+                info[key] = np.where(done, 0.0, info[key])  # of the table at rest that follows
+            for key in ("broken_limit", "_broken_limit"):
+                if key in info:
+                    final_info[key] = info.pop(key)
+            info.update(
+                final_obs=final, _final_obs=done.copy(), final_info=final_info, _final_info=done.copy()
+            )
             observation[lanes] = self._start(lanes, None)
             self._ended = np.zeros_like(done)
         else:
@@ -147,10 +150,18 @@ class ShakeTableVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         motions = None if motion is None else [motion] * len(lanes)
         return self._simulation.start(lanes.tolist(), streams, motions)
 
-    def _info(self, result: Any, stepped: BoolArray) -> dict[str, Any]:
+    def _rest_info(self, lanes: NDArray[np.intp]) -> dict[str, Any]:
+        info: dict[str, Any] = {}
+        for key in INFO_KEYS:
+            info[key], info[f"_{key}"] = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=bool)
+            info[f"_{key}"][lanes] = True
+        return info
+
+    def _info(self, result: StepResult, restarted: BoolArray) -> dict[str, Any]:
         info: dict[str, Any] = {}
         for key, value in step_info(result).items():
-            info[key], info[f"_{key}"] = value, stepped
+            info[key] = np.where(restarted, 0.0, value) if restarted.any() else value
+            info[f"_{key}"] = np.ones(self.num_envs, dtype=bool)
         if result.terminated.any():
             names = np.array([None, *REASONS], dtype=object)
             info["broken_limit"] = names[np.where(result.terminated, result.outcome.broken, 0)]

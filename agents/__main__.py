@@ -1,0 +1,222 @@
+"""The command line ``shake``: a typed command each, made by tyro from dataclasses."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+from shake_env.errors import ParameterError, ShakeError
+
+try:
+    import tyro
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+except ImportError as missing:  # the environment and LQR install without the command line's packages
+    sys.exit(f"shake: {missing.name} is not installed: pip install 'shake-env[agents]'")
+
+from agents.config import TrainConfig
+from agents.options import ScenarioOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compare:
+    """Run controllers on the same earthquakes and set their errors side by side.
+
+    Examples:
+      shake compare
+      shake compare --stories 5 --mass-ratio 0.2 --controllers lqr none
+      shake compare --controllers lqr policy runs/mine --noise 100 --output out/mine
+      shake compare --json > comparison.json
+    """
+
+    scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
+    controllers: tuple[str, ...] = ("lqr", "none", "policy")
+    """lqr, none, policy (the shipped one), or paths of policy files and run directories."""
+    noise: int = 32
+    """Number of filtered-noise earthquakes."""
+    records: bool = True
+    """Whether the six embedded records are among the earthquakes."""
+    seed: int = 2_000_000
+    """First seed of the filtered noise."""
+    output: Path | None = None
+    """Folder for JSON, CSV and the figure (default: out/compare; with --json: none)."""
+    json: bool = False
+    """Print one JSON object on standard output and nothing else there."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Compare, print, write."""
+        from agents.compare import compare
+        from agents.compare_output import print_tables, write_files
+
+        if self.noise < 0:
+            raise ParameterError("noise", self.noise, "must be at least 0")
+        scenario = self.scenario.build()
+        with _progress() as progress:
+            tasks: dict[str, Any] = {}
+
+            def on_progress(name: str, share: float) -> None:
+                if name not in tasks:
+                    tasks[name] = progress.add_task(name, total=1.0)
+                progress.update(tasks[name], completed=share)
+
+            result = compare(
+                scenario,
+                self.controllers,
+                noise=self.noise,
+                records=self.records,
+                seed=self.seed,
+                on_progress=on_progress,
+            )
+        settings = _plain(asdict(self))
+        folder = self.output or (None if self.json else Path("out/compare"))
+        print_tables(result, console)
+        if folder is not None:
+            for path in write_files(result, settings, folder):
+                console.print(f"wrote {path}")
+        return result.to_json(settings)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Design:
+    """Design the sampled-data LQR of a specimen and print the fidelity to expect of it.
+
+    Examples:
+      shake design
+      shake design --stories 4 --mass-ratio 0.3 --control-rate 200 --json
+      shake design --acceleration-weight 1 --force-weight 0
+    """
+
+    scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
+    json: bool = False
+    """Print one JSON object on standard output and nothing else there."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Design and print."""
+        from agents.design import design, print_design
+
+        scenario = self.scenario.build()
+        found = design(scenario)
+        print_design(found, scenario, console)
+        return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reproduce:
+    """Write the tables and figures of Gavin and Hoagg (2009): published, as printed, corrected.
+
+    Examples:
+      shake reproduce
+      shake reproduce --output out/paper
+    """
+
+    output: Path = Path("out/reproduction")
+    """Folder for tables (CSV, JSON, Markdown) and figures (PNG, SVG)."""
+    json: bool = False
+    """Print one JSON object on standard output and nothing else there."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Reproduce, and say what is being done."""
+        from agents.reproduce import reproduce
+
+        found = reproduce(self.output, progress=Console(stderr=True).print)
+        console.print(f"wrote {self.output}")
+        return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train:
+    """Train a policy. An interrupted run goes on exactly with --resume.
+
+    Examples:
+      shake train --run runs/mine
+      shake train --run runs/five --config.scenario.stories 5 --config.total-steps 6000000
+      shake train --run runs/sac --config.algorithm sac
+      shake train --run runs/mine --resume
+      tensorboard --logdir runs
+    """
+
+    run_directory: Annotated[Path, tyro.conf.arg(name="run")]
+    """Directory of the run; must not exist, unless it is resumed."""
+    config: TrainConfig = field(default_factory=TrainConfig)
+    """What decides the result; a resumed run takes its own."""
+    resume: bool = False
+    """Go on with the run from its last checkpoint."""
+    json: bool = False
+    """Print one JSON object on standard output and nothing else there."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Train with a progress bar, and say where the policy lies."""
+        from agents.train import Progress as Told
+        from agents.train import resume, train
+
+        columns = (TextColumn("cost / LQR {task.fields[ratio]}"), TimeRemainingColumn())
+        with _progress(*columns) as progress:
+            task = progress.add_task("training", total=None, ratio="-")
+
+            def report(told: Told) -> None:
+                ratio = "-" if told.cost_ratio is None else f"{told.cost_ratio:.3f}"
+                progress.update(task, completed=told.steps, total=told.total_steps, ratio=ratio)
+
+            if self.resume:
+                result = resume(self.run_directory, report=report)
+            else:
+                result = train(self.config, self.run_directory, report=report)
+        console.print(
+            f"cost relative to LQR {result.cost_ratio:.4f} after {result.steps} steps, "
+            f"{result.seconds:.0f} s\nwrote {self.run_directory / 'policy.safetensors'}\n"
+            f"compare it: shake compare --controllers lqr policy {self.run_directory}"
+        )
+        return asdict(result)
+
+
+def _progress(*columns: Any) -> Progress:
+    """Return a progress bar on standard error; where that is no terminal, its last state only."""
+    return Progress(
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), *columns,
+        console=Console(stderr=True),
+    )  # fmt: skip
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    plain: dict[str, Any] = json.loads(json.dumps(values, default=str))
+    return plain
+
+
+COMMANDS: dict[str, Callable[..., Any]] = {
+    "compare": Compare,
+    "design": Design,
+    "reproduce": Reproduce,
+    "train": Train,
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a command; return 0, or 2 for a mistake in what was asked, or 130 when interrupted."""
+    command = tyro.extras.subcommand_cli_from_dict(
+        COMMANDS,
+        prog="shake",
+        description="Shake tables under learned and classical control.",
+        args=arguments,
+    )
+    console = Console(quiet=command.json)
+    try:
+        found = command.run(console)
+    except ShakeError as error:
+        print(f"shake: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("shake: interrupted", file=sys.stderr)
+        if isinstance(command, Train):
+            print(f"go on with: shake train --run {command.run_directory} --resume", file=sys.stderr)
+        return 130
+    if command.json:
+        print(json.dumps(found))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

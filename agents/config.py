@@ -1,0 +1,157 @@
+"""Typed configuration of a training run; the defaults learn on two cores."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from agents.base_law import BaseLaw
+from agents.options import ScenarioOptions
+from shake_env.errors import ParameterError, RunDirectoryError
+from shake_env.parameters import require_non_negative, require_positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOOptions:
+    """Proximal policy optimisation (Schulman et al., 2017) as SB3 implements it."""
+
+    tables: int = 64
+    """Tables stepped side by side."""
+    rollout_steps: int = 128
+    """Control periods a table runs between two updates."""
+    batch_size: int = 2048
+    """Samples of one gradient step."""
+    epochs: int = 10
+    """Passes over the data of one roll-out."""
+    learning_rate: float = 3e-4
+    """Initial learning rate; it falls linearly to zero."""
+    gae_lambda: float = 0.9
+    """Lambda of the advantage estimate [-]."""
+    clip_range: float = 0.2
+    """Clip range of the probability ratio [-]."""
+    initial_log_std: float = -3.0
+    """Log of the initial exploration, relative to the current limit. White action noise is expensive
+    (2 % of LQR's current adds 10 % to its cost), but the update's trust region moves the policy by a
+    share of it, so that too little of it learns slowly."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SACOptions:
+    """Soft actor-critic (Haarnoja et al., 2018) as SB3 implements it."""
+
+    tables: int = 64
+    """Tables stepped side by side."""
+    batch_size: int = 256
+    """Samples of one gradient step."""
+    gradient_steps: int = 16
+    """Gradient steps for each control period of all the tables."""
+    learning_rate: float = 3e-4
+    """Initial learning rate; it falls linearly to zero."""
+    buffer_size: int = 400_000
+    """Transitions remembered."""
+    warmup_steps: int = 20_000
+    """Control periods that the untrained policy runs before the first gradient step."""
+    tau: float = 0.005
+    """Rate at which target networks follow [-]."""
+    target_entropy: float = -4.0
+    """Entropy that exploration settles at [nats]: a standard deviation of about 4e-3 of the limit."""
+    initial_log_std: float = -4.0
+    """Log of the initial exploration, relative to the current limit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """One training run. Everything that decides its result is in here, and in the run's config.json.
+
+    Raises
+    ------
+    ParameterError
+        If a number is outside its range.
+    """
+
+    algorithm: Literal["ppo", "sac"] = "ppo"
+    """Learning algorithm."""
+    scenario: ScenarioOptions = field(default_factory=ScenarioOptions)
+    """What is learned on."""
+    ppo: PPOOptions = field(default_factory=PPOOptions)
+    """Options of PPO, used with --algorithm ppo."""
+    sac: SACOptions = field(default_factory=SACOptions)
+    """Options of SAC, used with --algorithm sac."""
+    seed: int = 0
+    """Seed of networks, exploration and earthquakes."""
+    base: BaseLaw = "none"
+    """Linear law that the policy corrects: none (from scratch), flow (the current that the table's own
+    velocity uses), lqr (residual on top of LQR)."""
+    authority: float = 1.0
+    """What the policy can add to that law, as a fraction of the current limit."""
+    total_steps: int = 4_000_000
+    """Control periods of all tables together."""
+    horizon: float = 0.25
+    """Time over which the discount looks ahead [s]; discount = exp(-control period / horizon)."""
+    episode: float = 10.0
+    """Length of a training earthquake [s]."""
+    state_limit: float = 12.0
+    """A training episode ends when a scaled state leaves this bound [multiples of its rms]."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Width of each hidden layer."""
+    evaluation_interval: float = 30.0
+    """Wall time between evaluations [s]; also written by the last step."""
+    evaluation_earthquakes: int = 32
+    """Fixed earthquakes of an evaluation."""
+    checkpoint_interval: float = 60.0
+    """Wall time between checkpoints [s]."""
+    threads: int = 1
+    """Threads of torch and BLAS; one is fastest for networks of this size."""
+
+    def __post_init__(self) -> None:
+        require_positive(
+            self, "total_steps", "horizon", "episode", "state_limit", "evaluation_interval",
+            "evaluation_earthquakes", "checkpoint_interval", "threads",
+        )  # fmt: skip
+        for options in (self.ppo, self.sac):
+            require_positive(
+                options,
+                *(name for name in vars(options) if name not in ("initial_log_std", "target_entropy")),
+            )
+        require_non_negative(self, "seed")
+        if not 0.0 < self.authority <= 1.0:
+            raise ParameterError("authority", self.authority, "must lie above 0 and not above 1")
+        if not self.hidden or min(self.hidden) < 1:
+            raise ParameterError("hidden", self.hidden, "give the width of each layer, e.g. 64 64")
+
+    def discount(self, control_period: float) -> float:
+        """Return gamma for a control period [s]."""
+        return math.exp(-control_period / self.horizon)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the configuration as plain JSON values."""
+        plain: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        return plain
+
+
+def read_config(run: Path) -> TrainConfig:
+    """Return the configuration that a run directory holds.
+
+    Raises
+    ------
+    RunDirectoryError
+        If there is none, or it cannot be read.
+    """
+    try:
+        values = json.loads((run / "config.json").read_text(encoding="utf-8"))
+        return TrainConfig(
+            **{
+                **values,
+                "scenario": ScenarioOptions(**values["scenario"]),
+                "ppo": PPOOptions(**values["ppo"]),
+                "sac": SACOptions(**values["sac"]),
+                "hidden": tuple(values["hidden"]),
+            }
+        )
+    except (OSError, KeyError, TypeError, json.JSONDecodeError) as error:
+        raise RunDirectoryError(
+            "run directory", str(run), f"holds no readable config.json ({error}): start a new run"
+        ) from error

@@ -1,0 +1,69 @@
+"""A trained SB3 policy to a `PolicyFile`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from agents.features import LinearFeatures
+from agents.policy_file import PolicyFile
+from agents.sb3_vec_env import ShakeTableVecEnv
+from shake_env.errors import PolicyFileError
+
+_ACTIVATIONS = {torch.nn.Tanh: "tanh", torch.nn.ReLU: "relu"}
+
+
+def export_policy(model: BaseAlgorithm, env: ShakeTableVecEnv, card: dict[str, Any]) -> PolicyFile:
+    """Return the deterministic policy of a PPO or SAC model as a `PolicyFile`.
+
+    Parameters
+    ----------
+    model
+        With an MLP policy over ``LinearFeatures``, as ``shake train`` makes it.
+    env
+        What it was trained on: the law that it corrects, and with what authority.
+    card
+        How it was made; must be JSON.
+
+    Raises
+    ------
+    PolicyFileError
+        If the policy has another architecture.
+    """
+    if isinstance(model, PPO):
+        features, hidden = model.policy.pi_features_extractor, model.policy.mlp_extractor.policy_net
+        last, output = model.policy.action_net, "clip"
+    elif isinstance(model, SAC):
+        features, hidden = model.actor.features_extractor, model.actor.latent_pi
+        last, output = model.actor.mu, "tanh"
+    else:
+        raise PolicyFileError("algorithm", type(model).__name__, "only PPO and SAC can be exported")
+    if not isinstance(features, LinearFeatures):
+        raise PolicyFileError(
+            "features extractor", type(features).__name__, "only LinearFeatures can be exported"
+        )
+    linear = [module for module in (*hidden, last) if isinstance(module, torch.nn.Linear)]
+    kinds = {type(module) for module in hidden} - {torch.nn.Linear}
+    if len(kinds) != 1 or not kinds <= set(_ACTIVATIONS):
+        raise PolicyFileError("activations", sorted(str(k) for k in kinds), "must all be Tanh or ReLU")
+    return PolicyFile(
+        matrix=_numpy(features.matrix),
+        feature_clip=features.clip,
+        weights=tuple(_numpy(layer.weight) for layer in linear),
+        biases=tuple(_numpy(layer.bias) for layer in linear),
+        activation=_ACTIVATIONS[kinds.pop()],
+        output=output,
+        base=np.asarray(env.base, dtype=np.float32),
+        authority=env.authority,
+        card=card,
+    )
+
+
+def _numpy(tensor: torch.Tensor) -> NDArray[np.float32]:
+    array: NDArray[np.float32] = tensor.detach().cpu().numpy().astype(np.float32)
+    return array

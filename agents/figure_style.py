@@ -1,0 +1,78 @@
+"""One style for every figure: readable at column width, safe for colour-blind eyes and for grey print.
+
+Colours are Okabe and Ito's. Lines also differ by dash and by lightness, so that no figure needs colour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+BLUE, ORANGE, VERMILLION, GREEN, SKY, PURPLE, BLACK, GREY = (
+    "#0072B2", "#E69F00", "#D55E00", "#009E73", "#56B4E9", "#CC79A7", "#000000", "#7F7F7F",
+)  # fmt: skip
+
+CORRECTED: dict[str, Any] = {"color": BLUE, "linewidth": 1.6}
+# Wider and drawn first, so that it shows where the two models agree.
+PRINTED: dict[str, Any] = {"color": ORANGE, "linewidth": 3.0}
+
+SERIES: tuple[dict[str, Any], ...] = (
+    {"color": SKY, "linestyle": "-", "linewidth": 2.0},
+    {"color": VERMILLION, "linestyle": (0, (5, 2)), "linewidth": 1.7},
+    {"color": BLACK, "linestyle": (0, (1, 1.2)), "linewidth": 1.7},
+    {"color": GREEN, "linestyle": (0, (6, 2, 1, 2)), "linewidth": 1.7},
+    {"color": PURPLE, "linestyle": (0, (3, 1, 1, 1, 1, 1)), "linewidth": 1.7},
+)
+
+STYLE: dict[str, Any] = {
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9.5,
+    "axes.grid": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "grid.color": "#DDDDDD",
+    "grid.linewidth": 0.6,
+    "legend.fontsize": 9.0,
+    "legend.frameon": False,
+    "legend.handlelength": 3.0,  # long enough to show a whole dash
+    "lines.linewidth": 1.7,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "figure.dpi": 110,
+    "savefig.dpi": 110,
+    "svg.fonttype": "path",
+    # Same bytes for the same figure: no date, no random identifiers.
+    "svg.hashsalt": "shake",
+}
+
+
+@contextmanager
+def figure_style() -> Iterator[None]:
+    """Apply the style inside a ``with`` block and nowhere else."""
+    with mpl.rc_context(STYLE):
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure, `width` by `height` inches, that needs no display and no pyplot state."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write `figure` as PNG and SVG into `folder` and return both paths."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # laid out once, not again for each format
+    paths = [folder / f"{name}.png", folder / f"{name}.svg"]
+    figure.savefig(paths[0], metadata={"Software": None})
+    figure.savefig(paths[1], metadata={"Date": None})
+    return paths

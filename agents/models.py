@@ -1,0 +1,88 @@
+"""SB3 models as a `TrainConfig` describes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from stable_baselines3 import PPO, SAC
+
+from agents.config import TrainConfig
+from agents.features import LinearFeatures, feature_matrix
+from agents.sb3_vec_env import ShakeTableVecEnv
+from shake_env.scenario import Scenario
+
+
+class WarmSAC(SAC):
+    """SAC that warms up with its own untrained policy.
+
+    SB3 begins with actions uniform over the whole valve, which throw every table off within a second.
+    """
+
+    def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
+        return super()._sample_action(0, action_noise, n_envs)
+
+
+ALGORITHMS: dict[str, type[PPO] | type[SAC]] = {"ppo": PPO, "sac": WarmSAC}
+
+
+class LinearDecay:
+    """A learning rate that falls linearly to zero."""
+
+    def __init__(self, initial: float) -> None:
+        self.initial = initial
+
+    def __call__(self, progress_remaining: float) -> float:
+        """Return the rate when the share `progress_remaining` of the run is left."""
+        return self.initial * progress_remaining
+
+
+def new_model(config: TrainConfig, scenario: Scenario, env: ShakeTableVecEnv) -> PPO | SAC:
+    """Return an untrained model on `env`; `scenario` is what it will be used on."""
+    policy: dict[str, Any] = {
+        "net_arch": list(config.hidden),
+        # The linear optimum is a linear law, which rectifiers can represent exactly and tanh cannot.
+        "activation_fn": torch.nn.ReLU,
+        "features_extractor_class": LinearFeatures,
+        "features_extractor_kwargs": {"matrix": feature_matrix(scenario).tolist()},
+    }
+    gamma = config.discount(scenario.control_period)
+    if config.algorithm == "ppo":
+        ppo = config.ppo
+        return PPO(
+            "MlpPolicy",
+            env,
+            n_steps=ppo.rollout_steps,
+            batch_size=ppo.batch_size,
+            n_epochs=ppo.epochs,
+            learning_rate=LinearDecay(ppo.learning_rate),
+            gae_lambda=ppo.gae_lambda,
+            clip_range=ppo.clip_range,
+            gamma=gamma,
+            seed=config.seed,
+            policy_kwargs={**policy, "log_std_init": ppo.initial_log_std},
+            device="cpu",
+        )
+    sac = config.sac
+    model = WarmSAC(
+        "MlpPolicy",
+        env,
+        batch_size=sac.batch_size,
+        gradient_steps=sac.gradient_steps,
+        learning_rate=LinearDecay(sac.learning_rate),
+        buffer_size=sac.buffer_size,
+        tau=sac.tau,
+        target_entropy=sac.target_entropy,
+        ent_coef="auto_0.001",
+        learning_starts=sac.warmup_steps,
+        gamma=gamma,
+        seed=config.seed,
+        policy_kwargs=policy,
+        device="cpu",
+    )
+    with torch.no_grad():  # for the same reason the actor starts with a small spread about zero
+        model.actor.log_std.weight.mul_(0.01)
+        model.actor.log_std.bias.fill_(sac.initial_log_std)
+        model.actor.mu.weight.mul_(0.01)
+        model.actor.mu.bias.zero_()
+    return model

@@ -1,0 +1,172 @@
+"""Policies on disk: weights in safetensors, everything else in its JSON header. Loading runs no code.
+
+A `PolicyFile` is a multilayer perceptron behind a fixed linear map of the observation, and drives a
+table in numpy alone.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from shake_env.errors import PolicyFileError
+from shake_env.scenario import Scenario
+
+FORMAT = "shake-policy-1"
+_REMEDY = "give a policy file written by 'shake train' (policy.safetensors)"
+_ACTIVATIONS = ("tanh", "relu")
+_OUTPUTS = ("clip", "tanh")
+Weights = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class PolicyFile:
+    """A deterministic policy as a `Controller`, in numpy.
+
+    Features are ``clip(matrix @ observation)``; then layers of weights and biases with an activation
+    between them; the output is clipped to [-1, 1] (Gaussian policies) or passed through tanh (SAC).
+    The action is ``base @ observation + authority * output``, clipped to [-1, 1].
+
+    Raises
+    ------
+    PolicyFileError
+        If the shapes of its parts do not chain, or a number in it is not finite.
+    """
+
+    matrix: Weights  # (features, n)
+    feature_clip: float
+    weights: tuple[Weights, ...]  # layer l: (outputs, inputs)
+    biases: tuple[Weights, ...]  # layer l: (outputs,)
+    activation: str  # "tanh" or "relu"
+    output: str  # "clip" or "tanh"
+    base: Weights  # (n,) linear law that the network corrects; zeros for none
+    authority: float  # what a network output of 1 adds to it
+    card: dict[str, Any]  # how it was made: scenario, algorithm, command, seed, evaluation
+
+    def __post_init__(self) -> None:
+        _require(self.activation in _ACTIVATIONS, "activation", self.activation, _REMEDY)
+        _require(self.output in _OUTPUTS, "output", self.output, _REMEDY)
+        _require(len(self.weights) == len(self.biases) > 0, "layers", len(self.weights), _REMEDY)
+        width = self.matrix.shape[0]
+        for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            fits = weight.ndim == 2 and weight.shape[1] == width and bias.shape == weight.shape[:1]
+            _require(fits, f"layer {number} shape", weight.shape, f"must take {width} inputs")
+            width = weight.shape[0]
+        _require(width == 1, "outputs", width, "a table has one current")
+        _require(self.base.shape == self.matrix.shape[1:], "base shape", self.base.shape, _REMEDY)
+        _require(0.0 < self.authority <= 1.0, "authority", self.authority, "must lie in 0 to 1")
+        for array in (self.matrix, self.base, *self.weights, *self.biases):
+            _require(bool(np.isfinite(array).all()), "weights", "nan or inf", _REMEDY)
+
+    @property
+    def observation_size(self) -> int:
+        """Length n of the observation it reads."""
+        return int(self.matrix.shape[1])
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: tuple[Any, ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
+        """Return the action (..., 1) for an observation (..., n)."""
+        hidden = np.clip(observation @ self.matrix.T, -self.feature_clip, self.feature_clip)
+        last = len(self.weights) - 1
+        for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            hidden = hidden @ weight.T + bias
+            if number < last:
+                hidden = np.tanh(hidden) if self.activation == "tanh" else np.maximum(hidden, 0.0)
+        output = np.tanh(hidden) if self.output == "tanh" else np.clip(hidden, -1.0, 1.0)
+        action = (observation @ self.base)[..., None] + self.authority * output
+        return np.clip(action, -1.0, 1.0).astype(np.float32), None
+
+    def check(self, scenario: Scenario) -> None:
+        """Raise PolicyFileError unless the policy was made for this observation and control rate."""
+        size, rate = scenario.plant.layout.order, scenario.control_rate
+        _require(
+            self.observation_size == size,
+            "observation size",
+            self.observation_size,
+            f"the scenario's is {size}: use the number of storeys the policy was trained with",
+        )
+        trained = self.card.get("control_rate", rate)
+        _require(trained == rate, "control rate", trained, f"the scenario's is {rate} Hz")
+
+    def save(self, path: Path) -> None:
+        """Write the file; a reader never sees half of it."""
+        header = {
+            "format": FORMAT,
+            "feature_clip": self.feature_clip,
+            "activation": self.activation,
+            "output": self.output,
+            "authority": self.authority,
+            "layers": len(self.weights),
+            "card": self.card,
+        }
+        arrays = {"matrix": self.matrix, "base": self.base}
+        for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            arrays[f"weight.{number}"], arrays[f"bias.{number}"] = weight, bias
+        partial = path.with_name(path.name + ".partial")
+        contiguous = {name: np.ascontiguousarray(a) for name, a in arrays.items()}
+        partial.write_bytes(save(contiguous, {"shake": json.dumps(header, sort_keys=True)}))
+        partial.replace(path)
+
+
+def load_policy(path: Path) -> PolicyFile:
+    """Read a policy file.
+
+    Raises
+    ------
+    PolicyFileError
+        If the file is missing, truncated, corrupt or of another kind.
+    """
+    if not path.is_file():
+        raise PolicyFileError("policy file", str(path), f"there is no such file: {_REMEDY}")
+    try:
+        with safe_open(str(path), framework="np") as file:
+            header = json.loads((file.metadata() or {}).get("shake", "{}"))
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError, ValueError, TypeError) as error:
+        raise PolicyFileError(
+            "policy file", str(path), f"cannot be read ({error}): {_REMEDY}"
+        ) from error
+    _require(isinstance(header, dict), "header", header, _REMEDY)
+    _require(header.get("format") == FORMAT, "format", header.get("format"), _REMEDY)
+    try:
+        layers = range(int(header["layers"]))
+        return PolicyFile(
+            matrix=_float32(arrays["matrix"], 2),
+            feature_clip=float(header["feature_clip"]),
+            weights=tuple(_float32(arrays[f"weight.{i}"], 2) for i in layers),
+            biases=tuple(_float32(arrays[f"bias.{i}"], 1) for i in layers),
+            activation=header["activation"],
+            output=header["output"],
+            base=_float32(arrays["base"], 1),
+            authority=float(header["authority"]),
+            card=dict(header["card"]),
+        )
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        if isinstance(error, PolicyFileError):
+            raise
+        raise PolicyFileError("policy file", str(path), f"lacks {error}: {_REMEDY}") from error
+
+
+def _float32(array: NDArray[Any], dimensions: int) -> Weights:
+    fits = array.ndim == dimensions and array.dtype == np.float32
+    _require(
+        fits, "array", (array.shape, str(array.dtype)), f"must be float32, {dimensions}-dimensional"
+    )
+    return array
+
+
+def _require(holds: bool, field: str, value: object, remedy: str) -> None:
+    if not holds:
+        raise PolicyFileError(field, value, remedy)

@@ -1,0 +1,149 @@
+"""A native Stable-Baselines3 `VecEnv` over the batch kernel: no copies of environments, no workers."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
+
+from shake_env.env import single_spaces
+from shake_env.limits import REASONS
+from shake_env.parameters import FloatArray
+from shake_env.scenario import Scenario
+from shake_env.simulation import Simulation, StepResult, checked_action, episode_stream
+
+
+class ShakeTableVecEnv(VecEnv):
+    """N shake tables for SB3, autoreset at the end of each episode.
+
+    Lane i of ``seed(s)`` repeats ``ShakeTableEnv.reset(seed=s + i)``. A lane's info is empty while its
+    episode runs (building N dictionaries costs more than stepping N tables); at its end it holds
+    ``terminal_observation``, ``TimeLimit.truncated``, the ``episode`` record of SB3's Monitor (`r`
+    return, `l` steps) and, if a limit was broken, ``broken_limit``.
+
+    Parameters
+    ----------
+    scenario
+        What is simulated.
+    num_envs
+        Number of tables N.
+    base
+        (n,) linear law that the actions correct, fraction of the current limit per entry of the
+        observation; None for no such law.
+    authority
+        What action 1 adds to it, as a fraction of the current limit.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        num_envs: int,
+        *,
+        base: FloatArray | None = None,
+        authority: float = 1.0,
+    ) -> None:
+        self.scenario = scenario
+        self.base = np.zeros(scenario.plant.layout.order) if base is None else base
+        self.authority = authority
+        self.simulation = Simulation(scenario, num_envs)
+        self.render_mode = None
+        super().__init__(num_envs, *single_spaces(scenario))
+        self._streams: list[np.random.Generator | None] = [None] * num_envs
+        self._action = np.zeros(num_envs)
+        self._returns = np.zeros(num_envs)
+        self._observation = np.zeros((num_envs, scenario.plant.layout.order), dtype=np.float32)
+
+    def reset(self) -> NDArray[np.float32]:
+        """Start an episode in every lane; seeds given to ``seed`` are used once."""
+        for lane, seed in enumerate(self._seeds):
+            if seed is not None or self._streams[lane] is None:
+                self._streams[lane], _ = seeding.np_random(seed)
+        self._reset_seeds()
+        self._reset_options()
+        self._returns[:] = 0.0
+        self._observation = self._start(range(self.num_envs))
+        return self._observation.copy()
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Take the actions (N, 1) of the next period."""
+        correction = checked_action(actions, (self.num_envs, 1))[:, 0]
+        self._action = self._observation @ self.base + self.authority * correction
+
+    def step_wait(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Advance all tables; lanes whose episode ended come back with their next one begun."""
+        result = self.simulation.step(self._action)
+        observation = result.observation
+        self._returns += result.reward
+        done = result.terminated | result.truncated
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if done.any():
+            lanes = np.flatnonzero(done)
+            for lane in lanes:
+                infos[lane] = self._final_info(result, int(lane))
+            self._returns[lanes] = 0.0
+            observation[lanes] = self._start(lanes.tolist())
+        self._observation = observation
+        return observation.copy(), result.reward.astype(np.float32), done, infos
+
+    def _final_info(self, result: StepResult, lane: int) -> dict[str, Any]:
+        info: dict[str, Any] = {
+            "terminal_observation": result.observation[lane].copy(),
+            "TimeLimit.truncated": bool(result.truncated[lane]),
+            "episode": {
+                "r": float(self._returns[lane]),
+                "l": int(self.simulation.step_count[lane]),
+            },
+        }
+        if result.terminated[lane]:
+            info["broken_limit"] = REASONS[int(result.outcome.broken[lane]) - 1]
+        return info
+
+    def _start(self, lanes: Sequence[int]) -> NDArray[np.float32]:
+        streams = [episode_stream(stream) for lane in lanes if (stream := self._streams[lane])]
+        return self.simulation.start(lanes, streams)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return everything that `restore` needs to go on exactly."""
+        return {
+            "simulation": self.simulation.snapshot(),
+            "streams": copy.deepcopy(self._streams),
+            "returns": self._returns.copy(),
+            "observation": self._observation.copy(),
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go on from a `snapshot` of a VecEnv of the same scenario and size."""
+        self.simulation.restore(snapshot["simulation"])
+        self._streams = copy.deepcopy(snapshot["streams"])
+        self._returns = snapshot["returns"].copy()
+        self._observation = snapshot["observation"].copy()
+
+    def close(self) -> None:
+        """Release nothing: there are no workers."""
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """Return an attribute, the same for every lane."""
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of the batch; lanes have none of their own."""
+        setattr(self, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method of the batch once, and return its result for every lane asked for."""
+        result = getattr(self, method_name)(*method_args, **method_kwargs)
+        return [result for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
+        """Return False for every lane: lanes are no environments that could be wrapped."""
+        return [False for _ in self._get_indices(indices)]

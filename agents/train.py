@@ -1,0 +1,224 @@
+"""Train PPO or SAC on a scenario, with evaluation, checkpoints and exact resumption."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
+from threadpoolctl import threadpool_limits
+
+import shake_env
+from agents.base_law import base_row
+from agents.checkpoint import load_checkpoint, save_checkpoint
+from agents.config import TrainConfig, read_config
+from agents.export import export_policy
+from agents.models import new_model
+from agents.sb3_vec_env import ShakeTableVecEnv
+from baselines.lqr import lqr
+from shake_env.errors import RunDirectoryError
+from shake_env.limits import Limits
+from shake_env.motion import FilteredNoise
+from shake_env.rollout import noise_earthquakes, rollout
+from shake_env.scenario import Scenario
+
+EVALUATION_SEED = 1_000_000  # training seeds lie far below, so that no evaluation motion is trained on
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a run stands."""
+
+    steps: int
+    total_steps: int
+    seconds: float  # wall time of training in this process
+    cost_ratio: float | None  # last evaluation: cost relative to LQR's on the same earthquakes
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """What a finished run came to."""
+
+    run: str
+    steps: int
+    seconds: float
+    cost_ratio: float
+    cost: float
+    lqr_cost: float
+
+
+def train(
+    config: TrainConfig,
+    run: Path,
+    *,
+    report: Callable[[Progress], None] = lambda progress: None,
+) -> TrainResult:
+    """Train from scratch into a new run directory.
+
+    Raises
+    ------
+    RunDirectoryError
+        If the directory exists already.
+    """
+    if run.exists():
+        raise RunDirectoryError(
+            "run directory", str(run), "exists already: name another, or go on with --resume"
+        )
+    run.mkdir(parents=True)
+    (run / "config.json").write_text(json.dumps(config.to_json(), indent=2) + "\n", encoding="utf-8")
+    scenario = config.scenario.build()
+    env = _tables(config, scenario)
+    torch.set_num_threads(config.threads)
+    env.seed(config.seed * 100_000)
+    return _run(new_model(config, scenario, env), config, env, run, report)
+
+
+def resume(run: Path, *, report: Callable[[Progress], None] = lambda progress: None) -> TrainResult:
+    """Go on with an interrupted run, exactly as if it had not been interrupted.
+
+    Raises
+    ------
+    RunDirectoryError
+        If the directory holds no run, or no readable checkpoint.
+    """
+    config = read_config(run)
+    env = _tables(config, config.scenario.build())
+    torch.set_num_threads(config.threads)
+    return _run(load_checkpoint(run, config.algorithm, env), config, env, run, report)
+
+
+def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
+    """Return the scenario with training's episode length and its early end of hopeless episodes."""
+    limits = scenario.limits
+    if limits == Limits():  # the linear setting: only divergence ends an episode
+        limits = Limits(state_limit=config.state_limit, cost_horizon=config.horizon)
+    motion = scenario.motion
+    if isinstance(motion, FilteredNoise):
+        motion = replace(motion, duration=config.episode)
+    return replace(scenario, limits=limits, motion=motion)
+
+
+def _tables(config: TrainConfig, scenario: Scenario) -> ShakeTableVecEnv:
+    number = config.ppo.tables if config.algorithm == "ppo" else config.sac.tables
+    return ShakeTableVecEnv(
+        training_scenario(config, scenario),
+        number,
+        base=base_row(config.base, scenario),
+        authority=config.authority,
+    )
+
+
+class _Watch(BaseCallback):
+    """Evaluates and checkpoints between roll-outs, by wall time; changes nothing about the training."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        env: ShakeTableVecEnv,
+        run: Path,
+        report: Callable[[Progress], None],
+    ) -> None:
+        super().__init__()
+        self.config, self.tables, self.run, self.report = config, env, run, report
+        scenario = config.scenario.build()
+        self.scenario = replace(scenario, motion=training_scenario(config, scenario).motion)
+        self.earthquakes = noise_earthquakes(
+            self.scenario, config.evaluation_earthquakes, EVALUATION_SEED
+        )
+        self.lqr_cost = _mean_cost(lqr(self.scenario), self)
+        self.started = time.monotonic()
+        self.evaluated = self.saved = self.told = -np.inf
+        self.cost_ratio: float | None = None
+
+    def _on_rollout_start(self) -> None:
+        now = time.monotonic()
+        if now - self.evaluated >= self.config.evaluation_interval:
+            self.evaluate()
+            self.evaluated = time.monotonic()
+        if now - self.saved >= self.config.checkpoint_interval:
+            save_checkpoint(self.run, self.model, self.tables)  # type: ignore[arg-type]
+            self.saved = now
+        if now - self.told >= 0.5:
+            self.tell()
+            self.told = now
+
+    def _on_step(self) -> bool:
+        return True
+
+    def tell(self) -> None:
+        self.report(
+            Progress(
+                self.model.num_timesteps,
+                self.config.total_steps,
+                time.monotonic() - self.started,
+                self.cost_ratio,
+            )
+        )
+
+    def evaluate(self) -> float:
+        """Return the policy's mean cost on the fixed earthquakes, and write it down."""
+        cost = _mean_cost(export_policy(self.model, self.tables, {}), self)
+        self.cost_ratio = cost / self.lqr_cost
+        self.logger.record("evaluation/cost_relative_to_lqr", self.cost_ratio)
+        self.logger.dump(self.model.num_timesteps)
+        row = {
+            "steps": self.model.num_timesteps,
+            "seconds": round(time.monotonic() - self.started, 1),
+            "cost_ratio": self.cost_ratio,
+        }
+        with (self.run / "evaluations.jsonl").open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+        return cost
+
+
+def _mean_cost(controller: Any, watch: _Watch) -> float:
+    metrics, _ = rollout(controller, watch.scenario, watch.earthquakes)
+    return float(np.mean([m.cost for m in metrics]))
+
+
+def _run(
+    model: PPO | SAC,
+    config: TrainConfig,
+    env: ShakeTableVecEnv,
+    run: Path,
+    report: Callable[[Progress], None],
+) -> TrainResult:
+    model.set_logger(configure(str(run / "tensorboard"), ["tensorboard"]))
+    with threadpool_limits(config.threads):
+        watch = _Watch(config, env, run, report)
+        remaining = config.total_steps - model.num_timesteps
+        if remaining > 0:
+            # SB3 counts what is added to the steps done, and its learning rate from the sum.
+            model.learn(remaining, callback=watch, reset_num_timesteps=False, log_interval=10)
+        watch.init_callback(model)
+        cost = watch.evaluate()
+        save_checkpoint(run, model, env)
+        watch.tell()
+    result = TrainResult(
+        run=str(run),
+        steps=model.num_timesteps,
+        seconds=time.monotonic() - watch.started,
+        cost_ratio=cost / watch.lqr_cost,
+        cost=cost,
+        lqr_cost=watch.lqr_cost,
+    )
+    card = {
+        "control_rate": watch.scenario.control_rate,
+        "config": config.to_json(),
+        "command": shlex.join(["shake", *sys.argv[1:]]),
+        "version": shake_env.__version__,
+        "evaluation": {key: value for key, value in asdict(result).items() if key != "run"},
+    }
+    export_policy(model, env, card).save(run / "policy.safetensors")
+    (run / "result.json").write_text(json.dumps(asdict(result), indent=2) + "\n", encoding="utf-8")
+    return result

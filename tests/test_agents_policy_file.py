@@ -1,0 +1,130 @@
+"""Policy files: the same action as SB3, and nothing but a typed error from a bad file."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agents.base_law import base_row
+from agents.compare import shipped_policy
+from agents.config import PPOOptions, SACOptions, TrainConfig
+from agents.export import export_policy
+from agents.features import feature_matrix
+from agents.models import new_model
+from agents.policy_file import load_policy
+from agents.sb3_vec_env import ShakeTableVecEnv
+from baselines.lqr import observable_states
+from shake_env import make_scenario
+from shake_env.errors import PolicyFileError
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_a_file_gives_the_action_that_sb3_gives(algorithm, tmp_path):
+    config = TrainConfig(
+        algorithm=algorithm, ppo=PPOOptions(tables=2), sac=SACOptions(tables=2, buffer_size=100)
+    )
+    scenario = make_scenario()
+    env = ShakeTableVecEnv(scenario, 2, base=base_row("flow", scenario), authority=0.25)
+    model = new_model(config, scenario, env)
+    # Fresh networks act near zero: larger weights show every layer and both ends of the clipping.
+    for parameter in model.policy.parameters():
+        parameter.data.mul_(3.0)
+    path = tmp_path / "policy.safetensors"
+    export_policy(model, env, {"seed": 0}).save(path)
+    policy = load_policy(path)
+    observation = np.random.default_rng(0).normal(0.0, 2.0, (500, 14)).astype(np.float32)
+    correction, _ = model.predict(observation, deterministic=True)
+    expected = np.clip((observation @ env.base)[:, None] + 0.25 * correction, -1.0, 1.0)
+    action, _ = policy.predict(observation)
+    assert action.shape == (500, 1)
+    assert np.ptp(expected) > 0.1
+    np.testing.assert_allclose(action, expected, atol=1e-6)
+    single, _ = policy.predict(observation[0])
+    np.testing.assert_allclose(single, expected[0], atol=1e-6)
+    assert policy.card == {"seed": 0}
+
+
+@pytest.mark.parametrize("stories", [1, 2, 5])
+def test_features_are_an_invertible_map_of_what_can_be_observed(stories):
+    scenario = make_scenario("linear", {"stories": stories})
+    matrix = feature_matrix(scenario)
+    kept = observable_states(scenario.plant)
+    position = scenario.plant.layout.table_displacement
+    assert np.all(matrix[:, position] == 0.0)
+    assert np.linalg.cond(matrix[:, kept]) < 1e3
+
+
+def test_the_shipped_policy_says_how_it_was_made():
+    policy = load_policy(shipped_policy())
+    policy.check(make_scenario())
+    assert policy.card["command"].startswith("shake train")
+    assert policy.card["evaluation"]["cost_ratio"] < 1.25
+    assert shipped_policy().stat().st_size < 300_000
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(PolicyFileError, match=r"policy file.*absent.*no such file"):
+        load_policy(tmp_path / "absent")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.1, 0.5, 0.999])
+def test_a_truncated_file_is_refused(share, tmp_path):
+    whole = shipped_policy().read_bytes()
+    path = tmp_path / "policy.safetensors"
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(PolicyFileError, match="cannot be read"):
+        load_policy(path)
+
+
+@settings(max_examples=300, deadline=None)
+@given(place=st.integers(0, 3000), value=st.integers(0, 255))
+def test_flipped_header_bytes_give_a_policy_or_the_typed_error(tmp_path_factory, place, value):
+    whole = bytearray(shipped_policy().read_bytes())
+    whole[place] = value
+    path = tmp_path_factory.getbasetemp() / "flipped.safetensors"
+    path.write_bytes(whole)
+    try:
+        policy = load_policy(path)
+    except PolicyFileError:
+        return
+    assert np.isfinite(policy.predict(np.zeros(14, np.float32))[0]).all()
+
+
+def edited(tmp_path, change):
+    """Write the shipped policy with its shake header changed."""
+    whole = shipped_policy().read_bytes()
+    length = struct.unpack("<Q", whole[:8])[0]
+    header = json.loads(whole[8 : 8 + length])
+    inner = json.loads(header["__metadata__"]["shake"])
+    change(inner)
+    header["__metadata__"]["shake"] = json.dumps(inner)
+    text = json.dumps(header).encode()
+    path = tmp_path / "edited.safetensors"
+    path.write_bytes(struct.pack("<Q", len(text)) + text + whole[8 + length :])
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda h: h.update(format="other"), "format = 'other'"),
+        (lambda h: h.update(layers=99), "lacks 'weight.3'"),
+        (lambda h: h.update(layers=2), "outputs = 64"),
+        (lambda h: h.update(activation="eval"), "activation = 'eval'"),
+        (lambda h: h.pop("card"), "lacks 'card'"),
+    ],
+)
+def test_an_edited_header_is_refused(change, message, tmp_path):
+    with pytest.raises(PolicyFileError, match=message):
+        load_policy(edited(tmp_path, change))
+
+
+def test_another_specimen_is_refused_with_the_remedy():
+    policy = load_policy(shipped_policy())
+    with pytest.raises(PolicyFileError, match="observation size = 14: the scenario's is 26"):
+        policy.check(make_scenario("linear", {"stories": 5}))
+    with pytest.raises(PolicyFileError, match=r"control rate = 200.*500"):
+        policy.check(make_scenario("linear", {"control_rate": 500.0}))

@@ -1,0 +1,124 @@
+"""Training: exact resumption, readable checkpoints, and (slow) that it learns."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from agents.checkpoint import checkpoints
+from agents.config import PPOOptions, SACOptions, TrainConfig, read_config
+from agents.policy_file import load_policy
+from agents.train import resume, train
+from shake_env.errors import ParameterError, RunDirectoryError
+
+
+def small(algorithm, **changes):
+    """A run of a few seconds that checkpoints between any two roll-outs."""
+    return TrainConfig(
+        algorithm=algorithm,
+        ppo=PPOOptions(tables=4, rollout_steps=32, batch_size=64, epochs=2),
+        sac=SACOptions(tables=4, batch_size=32, gradient_steps=1, buffer_size=2000, warmup_steps=64),
+        hidden=(16,),
+        episode=0.2,
+        total_steps=512,
+        evaluation_interval=1e9,
+        evaluation_earthquakes=2,
+        checkpoint_interval=1e-9,
+        **changes,
+    )
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_an_interrupted_run_ends_with_the_same_parameters(algorithm, tmp_path):
+    config = small(algorithm)
+    whole = train(config, tmp_path / "whole")
+
+    def kill(progress):
+        if progress.steps >= 256:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(config, tmp_path / "cut", report=kill)
+    assert not (tmp_path / "cut" / "policy.safetensors").exists()
+    resumed = resume(tmp_path / "cut")
+    assert resumed.steps == whole.steps
+    assert resumed.cost == whole.cost
+    one, two = (load_policy(tmp_path / run / "policy.safetensors") for run in ("whole", "cut"))
+    for a, b in zip((*one.weights, *one.biases), (*two.weights, *two.biases), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_damaged_newest_checkpoint_falls_back_to_the_one_before(tmp_path):
+    config = small("ppo")
+    whole = train(config, tmp_path / "run")
+    older, newest = checkpoints(tmp_path / "run")
+    state = newest / "state.pt"
+    state.write_bytes(state.read_bytes()[:1000])
+    assert resume(tmp_path / "run").cost == whole.cost
+    assert older.name < newest.name
+
+
+def test_a_killed_process_leaves_a_run_that_resumes(tmp_path):
+    run = tmp_path / "run"
+    command = [
+        sys.executable, "-m", "agents", "train", "--run", str(run), "--config.total-steps", "100000000",
+        "--config.ppo.tables", "4", "--config.ppo.rollout-steps", "16", "--config.ppo.batch-size", "64",
+        "--config.ppo.epochs", "1", "--config.checkpoint-interval", "0.001",
+        "--config.evaluation-earthquakes", "1", "--config.episode", "0.2",
+    ]  # fmt: skip
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120.0
+    while len(checkpoints(run)) < 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert len(checkpoints(run)) >= 1
+    config = json.loads((run / "config.json").read_text())
+    config["total_steps"] = int(checkpoints(run)[-1].name.removeprefix("step-")) + 256
+    (run / "config.json").write_text(json.dumps(config))
+    assert resume(run).steps >= config["total_steps"]
+
+
+def test_a_run_directory_that_exists_is_refused(tmp_path):
+    with pytest.raises(RunDirectoryError, match=r"run directory.*exists already.*--resume"):
+        train(small("ppo"), tmp_path)
+
+
+def test_nothing_to_resume_is_said(tmp_path):
+    with pytest.raises(RunDirectoryError, match=r"no readable config.json"):
+        resume(tmp_path)
+    (tmp_path / "config.json").write_text(json.dumps(small("ppo").to_json()))
+    with pytest.raises(RunDirectoryError, match="no readable checkpoint"):
+        resume(tmp_path)
+
+
+def test_the_configuration_survives_its_file(tmp_path):
+    config = small("sac", seed=7, horizon=0.5)
+    (tmp_path / "config.json").write_text(json.dumps(config.to_json()))
+    assert read_config(tmp_path) == config
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"total_steps": 0}, {"horizon": -1.0}, {"seed": -1}, {"hidden": ()}, {"ppo": PPOOptions(tables=0)}],
+)
+def test_bad_options_are_named(bad):
+    name = "tables" if "ppo" in bad else next(iter(bad))
+    with pytest.raises(ParameterError, match=name):
+        TrainConfig(**bad)
+
+
+def test_the_discount_comes_from_a_horizon_in_seconds():
+    config = TrainConfig(horizon=0.25)
+    assert config.discount(0.005) == pytest.approx(0.980199, abs=1e-6)
+    assert config.discount(0.001) ** 5 == pytest.approx(config.discount(0.005))
+
+
+@pytest.mark.slow
+def test_ppo_learns_the_linear_task_from_scratch(tmp_path):
+    # The issue's goal is 1.25 with the defaults; the run takes about 6 minutes on one core.
+    assert train(TrainConfig(), tmp_path / "run").cost_ratio <= 1.25
