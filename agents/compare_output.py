@@ -27,7 +27,7 @@ def print_tables(comparison: Comparison, console: Console) -> None:
         rows = [summary for summary in comparison.summaries if summary.group == group]
         title = f"{group}, {rows[0].earthquakes} earthquakes"
         table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-        table.add_column("controller", overflow="fold", min_width=10)
+        table.add_column("controller", overflow="fold", min_width=8)
         headings = ["cost / LQR [95 %]", "accel. %\nrms  peak", "shear %\nrms  peak", "mA", "m/s", "mm"]
         broken = any(row.broken_limits for row in rows)
         for heading in headings + ["ended"] * broken:
@@ -45,15 +45,19 @@ def print_tables(comparison: Comparison, console: Console) -> None:
 
 
 def _cells(row: GroupSummary) -> list[str]:
-    interval = f"{row.relative_cost:.3f} \\[{row.relative_cost_low:.3f}, {row.relative_cost_high:.3f}]"
-    acceleration = f"{100 * row.acceleration_rms_error:5.1f} {100 * row.acceleration_peak_error:5.1f}"
-    shear = f"{100 * row.base_shear_rms_error:5.1f} {100 * row.base_shear_peak_error:5.1f}"
+    digits = 3 if row.relative_cost_high < 10.0 else 1
+    interval = (
+        f"{row.relative_cost:.{digits}f} "
+        f"\\[{row.relative_cost_low:.{digits}f}, {row.relative_cost_high:.{digits}f}]"
+    )
+    acceleration = f"{100 * row.acceleration_rms_error:.1f} {100 * row.acceleration_peak_error:5.1f}"
+    shear = f"{100 * row.base_shear_rms_error:.1f} {100 * row.base_shear_peak_error:5.1f}"
     return [
         _label(row.controller),
         "1" if row.controller == "lqr" else interval,
         acceleration,
         shear,
-        f"{1e3 * row.peak_current:.1f}",
+        f"{1e3 * row.peak_current:.0f}",
         f"{row.peak_velocity:.2f}",
         f"{1e3 * row.peak_displacement:.0f}",
     ]

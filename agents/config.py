@@ -32,6 +32,14 @@ class PPOOptions:
     """Lambda of the advantage estimate [-]."""
     clip_range: float = 0.2
     """Clip range of the probability ratio [-]."""
+    scale_free: bool = True
+    """Whether the actor has no biases, so that half the motion gets half the current. Right for a linear
+    plant; friction and limits need biases."""
+    base: BaseLaw = "none"
+    """Linear law that the policy corrects: none (from scratch), flow (the current that the table's own
+    velocity uses), lqr (residual on top of LQR)."""
+    authority: float = 1.0
+    """What the policy can add to that law, as a fraction of the current limit."""
     initial_log_std: float = -3.0
     """Log of the initial exploration, relative to the current limit. White action noise is expensive
     (2 % of LQR's current adds 10 % to its cost), but the update's trust region moves the policy by a
@@ -56,10 +64,15 @@ class SACOptions:
     """Control periods that the untrained policy runs before the first gradient step."""
     tau: float = 0.005
     """Rate at which target networks follow [-]."""
-    target_entropy: float = -4.0
-    """Entropy that exploration settles at [nats]: a standard deviation of about 4e-3 of the limit."""
-    initial_log_std: float = -4.0
-    """Log of the initial exploration, relative to the current limit."""
+    base: BaseLaw = "flow"
+    """Linear law that the policy corrects: none, flow (the current that the table's own velocity uses)
+    or lqr. From nothing, the critic cannot tell good currents from bad before the tables are lost."""
+    authority: float = 0.2
+    """What the policy can add to that law, as a fraction of the current limit."""
+    target_entropy: float = -2.0
+    """Entropy that exploration settles at [nats], relative to the authority."""
+    initial_log_std: float = -1.5
+    """Log of the initial exploration, relative to the authority."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,11 +95,6 @@ class TrainConfig:
     """Options of SAC, used with --algorithm sac."""
     seed: int = 0
     """Seed of networks, exploration and earthquakes."""
-    base: BaseLaw = "none"
-    """Linear law that the policy corrects: none (from scratch), flow (the current that the table's own
-    velocity uses), lqr (residual on top of LQR)."""
-    authority: float = 1.0
-    """What the policy can add to that law, as a fraction of the current limit."""
     total_steps: int = 4_000_000
     """Control periods of all tables together."""
     horizon: float = 0.25
@@ -111,16 +119,20 @@ class TrainConfig:
             self, "total_steps", "horizon", "episode", "state_limit", "evaluation_interval",
             "evaluation_earthquakes", "checkpoint_interval", "threads",
         )  # fmt: skip
+        not_positive = ("initial_log_std", "target_entropy", "base", "scale_free")
         for options in (self.ppo, self.sac):
-            require_positive(
-                options,
-                *(name for name in vars(options) if name not in ("initial_log_std", "target_entropy")),
-            )
+            require_positive(options, *(name for name in vars(options) if name not in not_positive))
         require_non_negative(self, "seed")
-        if not 0.0 < self.authority <= 1.0:
-            raise ParameterError("authority", self.authority, "must lie above 0 and not above 1")
+        for options in (self.ppo, self.sac):
+            if not 0.0 < options.authority <= 1.0:
+                raise ParameterError("authority", options.authority, "must lie above 0 and not above 1")
         if not self.hidden or min(self.hidden) < 1:
             raise ParameterError("hidden", self.hidden, "give the width of each layer, e.g. 64 64")
+
+    @property
+    def chosen(self) -> PPOOptions | SACOptions:
+        """The options of the algorithm in use."""
+        return self.ppo if self.algorithm == "ppo" else self.sac
 
     def discount(self, control_period: float) -> float:
         """Return gamma for a control period [s]."""

@@ -6,11 +6,28 @@ from typing import Any
 
 import torch
 from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.policies import ActorCriticPolicy
 
 from agents.config import TrainConfig
 from agents.features import LinearFeatures, feature_matrix
 from agents.sb3_vec_env import ShakeTableVecEnv
 from shake_env.scenario import Scenario
+
+
+class ScaleFreePolicy(ActorCriticPolicy):
+    """SB3's actor-critic policy with an actor that has no biases.
+
+    Rectifiers without biases make a positively homogeneous function: a motion of a tenth of the size
+    gets a tenth of the current, and the relative cost of a linear plant is the same at any amplitude.
+    With biases, a policy trained at unit intensity drifts away under a weak record.
+    """
+
+    def _build(self, lr_schedule: Any) -> None:
+        super()._build(lr_schedule)
+        for layer in (*self.mlp_extractor.policy_net, self.action_net):
+            if isinstance(layer, torch.nn.Linear):
+                torch.nn.init.zeros_(layer.bias)
+                layer.bias.requires_grad_(False)
 
 
 class WarmSAC(SAC):
@@ -50,7 +67,7 @@ def new_model(config: TrainConfig, scenario: Scenario, env: ShakeTableVecEnv) ->
     if config.algorithm == "ppo":
         ppo = config.ppo
         return PPO(
-            "MlpPolicy",
+            ScaleFreePolicy if ppo.scale_free else ActorCriticPolicy,
             env,
             n_steps=ppo.rollout_steps,
             batch_size=ppo.batch_size,

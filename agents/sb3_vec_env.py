@@ -38,6 +38,8 @@ class ShakeTableVecEnv(VecEnv):
         observation; None for no such law.
     authority
         What action 1 adds to it, as a fraction of the current limit.
+    reward_scale
+        Factor on the rewards that the learner gets; the ``episode`` record keeps the true ones.
     """
 
     def __init__(
@@ -47,10 +49,12 @@ class ShakeTableVecEnv(VecEnv):
         *,
         base: FloatArray | None = None,
         authority: float = 1.0,
+        reward_scale: float = 1.0,
     ) -> None:
         self.scenario = scenario
         self.base = np.zeros(scenario.plant.layout.order) if base is None else base
         self.authority = authority
+        self.reward_scale = reward_scale
         self.simulation = Simulation(scenario, num_envs)
         self.render_mode = None
         super().__init__(num_envs, *single_spaces(scenario))
@@ -91,7 +95,7 @@ class ShakeTableVecEnv(VecEnv):
             self._returns[lanes] = 0.0
             observation[lanes] = self._start(lanes.tolist())
         self._observation = observation
-        return observation.copy(), result.reward.astype(np.float32), done, infos
+        return observation.copy(), (self.reward_scale * result.reward).astype(np.float32), done, infos
 
     def _final_info(self, result: StepResult, lane: int) -> dict[str, Any]:
         info: dict[str, Any] = {

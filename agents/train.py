@@ -109,12 +109,15 @@ def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
 
 
 def _tables(config: TrainConfig, scenario: Scenario) -> ShakeTableVecEnv:
-    number = config.ppo.tables if config.algorithm == "ppo" else config.sac.tables
+    chosen = config.chosen
     return ShakeTableVecEnv(
         training_scenario(config, scenario),
-        number,
-        base=base_row(config.base, scenario),
-        authority=config.authority,
+        chosen.tables,
+        base=base_row(chosen.base, scenario),
+        authority=chosen.authority,
+        # Values are then of the size of a stage cost. Unscaled they are 1 / (1 - gamma) times that, and
+        # the value function spends thousands of steps growing while the policy follows its noise.
+        reward_scale=1.0 - config.discount(scenario.control_period),
     )
 
 

@@ -29,7 +29,7 @@ class StepResult:
     terminated: BoolArray  # (N,) a limit was broken
     truncated: BoolArray  # (N,) the motion ended, and no limit was broken
     outcome: Outcome
-    ground: GroundPeriod
+    ground: GroundPeriod  # a view of the excitation's buffer: valid until the next step
     limit_cost: FloatArray  # (N,) what a broken limit cost
 
 

@@ -40,8 +40,8 @@ def test_a_broken_limit_is_no_truncation():
     env = ShakeTableVecEnv(make_scenario("linear", {"limits": "laboratory"}), 2)
     env.seed(0)
     env.reset()
-    for _ in range(400):
-        _, reward, done, infos = env.step(np.array([[0.0], [0.3]]))
+    for t in range(400):
+        _, reward, done, infos = env.step(np.array([[0.0], [min(t / 100, 1.0)]]))
         if done.any():
             break
     assert done.tolist() == [False, True]

@@ -247,17 +247,17 @@ def test_truncated_exactly_at_the_end_of_the_motion(overrides, steps):
 def test_a_broken_limit_terminates_and_costs(limits, reason):
     env = ShakeTableEnv(limits=limits, duration=2.0)
     observation, _ = env.reset(seed=0)
-    for t in range(1, 400):
+    taken, terminated = 0, False
+    while not terminated:
         observation, reward, terminated, truncated, info = env.step(np.ones(1))
-        if terminated:
-            break
-        assert info["limit_cost"] == 0.0 and "broken_limit" not in info
-    assert terminated and not truncated
+        taken += 1
+        assert terminated or (info["limit_cost"] == 0.0 and "broken_limit" not in info)
+    assert not truncated
     assert env.observation_space.contains(observation)
     if reason is not None:
         assert info["broken_limit"] == reason
     # Five times the stationary cost of standing still, 2, for each period left.
-    assert info["limit_cost"] == pytest.approx(5.0 * 2.0 * (400 - t), rel=1e-9)
+    assert info["limit_cost"] == pytest.approx(5.0 * 2.0 * (400 - taken), rel=1e-9)
     assert reward < -info["limit_cost"]
     with pytest.raises(ScenarioError, match="reset"):
         env.step(np.zeros(1))
@@ -279,11 +279,9 @@ def test_a_limit_holds_up_to_its_value(limit):
 
 
 def test_divergence_ends_an_episode_even_without_limits():
-    # The negative of LQR's gain is unstable.
+    # The negative of LQR's gain is unstable: it pumps the oil column as far as the current reaches.
     scenario = make_scenario("linear", {"duration": 20.0})
-    env, controller = ShakeTableEnv(scenario), lqr(scenario)
-    observation, _ = env.reset(seed=0)
-    # An oscillation that pumps the oil column; the saturated actuator alone keeps a table bounded.
+    controller = lqr(scenario)
     limited = ShakeTableEnv(scenario, limits=Limits(state_limit=5.0))
     observation, _ = limited.reset(seed=0)
     for _ in range(4000):
@@ -301,7 +299,7 @@ def test_drifting_position_alone_never_ends_an_episode():
     for _ in range(3999):
         observation, _, terminated, _, info = env.step(np.full(1, 0.4))
         assert not terminated
-    # Half a litre a second for twenty seconds moves the table by tens of metres.
+    # 0.05 A give 114 l/min, 0.8 m/s for twenty seconds.
     assert info["table_displacement"] > 5.0
     assert env.observation_space.contains(observation)
 
@@ -341,7 +339,7 @@ def crashes(overrides, lanes=200):
         {"duration": 6.0, "amplitude": 3.0},
         {"duration": 6.0, "amplitude": 0.34, "highpass_frequency": 0.5},
         {"duration": 6.0, "objective": Objective.raw(1.0, 1e-3)},
-        {"record": "ridgecrest2019_ccc_360", "duration": 20.0},
+        {"record": "napa2014_68150_hne", "duration": 10.0},
     ],
     ids=str,
 )

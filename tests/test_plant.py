@@ -126,7 +126,7 @@ def test_reference_shear_variance(stories, mass_ratio, printed, half_digit):
 def test_variances_against_integration_over_frequency(highpass):
     p = plant(random_specimen(3), ground=GroundFilter(highpass_frequency=highpass))
     # omega = tan(theta) turns the whole axis into a finite one; the integrand is smooth in theta.
-    theta = np.linspace(0.0, math.pi / 2, 60001)[1:-1]
+    theta = np.linspace(0.0, math.pi / 2, 30001)[1:-1]
     omega = 30.0 * np.tan(theta)
     weight = 30.0 / np.cos(theta) ** 2
     response = p.coupled.frequency_response(omega)[:, [2, 3], 1]
@@ -140,7 +140,7 @@ def test_variances_against_integration_over_frequency(highpass):
 def test_undamped_reference_has_no_variance_but_the_target_has():
     p = plant(Specimen.uniform(damping_ratio=0.0))
     assert p.target_variance == pytest.approx(9.67611, abs=0.5e-5)
-    with pytest.raises(ParameterError, match="dampings.*no stationary base shear.*damp every"):
+    with pytest.raises(ParameterError, match=r"dampings.*no stationary base shear.*damp every"):
         _ = p.reference_shear_variance
 
 
@@ -295,8 +295,8 @@ def test_energy_never_rises_with_the_valve_shut(stories, leakage, table_stiffnes
     # Rounding of the matrix exponential leaves 1e-16 where zeros belong.
     assert np.max(np.abs(x[3])) < 1e-12 * p.state_scale[keep][3]
     assert np.all(np.diff(energy, axis=0) <= 1e-12 * energy[0])
-    # It does fall: what a rigid table keeps (k_a x_a^2 and the pressure that holds it) may stay.
-    assert np.all(energy[-1] < 0.9 * energy[0])
+    # It does fall, but for what an oil column without a leak holds a displaced spring by.
+    assert np.all(energy[-1] < (0.9 if table_stiffness == 0.0 else 0.999) * energy[0])
 
 
 def test_energy_balance_is_the_dissipated_power():
@@ -469,6 +469,16 @@ def test_state_scale_is_the_rms_under_perfect_tracking():
     assert p.state_scale[p.layout.actuator][2] == pytest.approx(
         math.sqrt(1.4 / (2 * math.pi * 1.1)), rel=1e-12
     )
+
+
+def test_state_scale_of_the_table():
+    """What the actuator has to give for y~: its flow, and the force on mass, damper and specimen."""
+    p = plant()
+    omega, zeta = p.ground.omega, p.ground.damping_ratio
+    v, y = math.sqrt(zeta / omega), math.sqrt(p.target_variance)
+    force = math.sqrt((180.0 * y) ** 2 + (1000.0 * v) ** 2 + p.reference_shear_variance)
+    expected = [force / 0.00237, v / omega, v, 0.00237 * v / 76.0]
+    assert p.state_scale[p.layout.actuator] == pytest.approx(expected, rel=1e-9)
 
 
 def test_state_scale_keeps_its_meaning():

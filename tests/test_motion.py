@@ -1,0 +1,419 @@
+"""Target motions: resampling, envelopes, embedded records and the strict reader."""
+
+import math
+from dataclasses import replace
+from importlib import resources
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from shake_env import RECORD_NAMES, Envelope, FilteredNoise, Record, RecordedMotion, load_record
+from shake_env.errors import ParameterError, RecordError
+from shake_env.excitation import control_steps
+from shake_env.motion import resample, target_history
+from shake_env.parameters import GRAVITY
+from shake_env.records import parse_record
+
+
+def made_record(acceleration, interval=0.01, name="made"):
+    return Record(name, np.asarray(acceleration, dtype=float), interval, (("event", "made"),))
+
+
+def sine(frequency, interval, seconds=20.0, phase=0.4):
+    time = interval * np.arange(round(seconds / interval) + 1)
+    return time, np.sin(2.0 * math.pi * frequency * time + phase)
+
+
+@pytest.mark.parametrize(
+    ("interval", "new"),
+    [(0.01, 0.001), (0.005, 0.001), (0.001, 0.005), (0.01, 0.004), (0.01 / math.sqrt(3.0), 0.001)],
+)
+def test_resample_keeps_what_lies_below_both_nyquist_frequencies(interval, new):
+    # 0.9 of the lower Nyquist frequency; the filter's transition is 3 % wide about it.
+    for share in (0.05, 0.4, 0.9):
+        frequency = share * 0.5 / max(interval, new)
+        time, values = sine(frequency, interval)
+        found = resample(values, interval, new)
+        at = new * np.arange(len(found))
+        expected = np.sin(2.0 * math.pi * frequency * at + 0.4)
+        assert abs(at[-1] - time[-1]) < new
+        inner = (at > 0.5) & (at < time[-1] - 0.5)
+        # A ratio that is no small fraction stretches time by some 1e-7.
+        late = 0.0 if math.isclose(interval * 1e3, round(interval * 1e3)) else 3e-7 * time[-1]
+        allowed = 1e-4 + 2.0 * math.pi * frequency * late
+        assert np.max(np.abs(found - expected)[inner]) < allowed, share
+
+
+@pytest.mark.parametrize("share", [1.1, 1.5, 3.3])
+def test_resample_removes_what_lies_above_the_new_nyquist_frequency(share):
+    # Straight lines or decimation would fold it back at full size.
+    _, values = sine(share * 100.0, 0.001)
+    found = resample(values, 0.001, 0.005)
+    assert np.max(np.abs(found[100:-100])) < 1e-4
+
+
+def test_resample_makes_no_images():
+    _, values = sine(40.0, 0.01)
+    found = resample(values, 0.01, 0.001)
+    spectrum = np.abs(np.fft.rfft(found * np.hanning(len(found))))
+    frequency = np.fft.rfftfreq(len(found), 0.001)
+    assert np.max(spectrum[frequency > 55.0]) < 1e-4 * np.max(spectrum)
+
+
+@pytest.mark.parametrize("factor", [2, 5, 10])
+def test_resample_by_a_whole_number_keeps_the_samples(factor):
+    values = np.random.default_rng(0).standard_normal(400)
+    found = resample(values, 0.01, 0.01 / factor)
+    assert len(found) == 399 * factor + 1
+    # The window's end values and the filter's unit gain at 0 Hz: 1e-5 of the largest sample.
+    assert np.max(np.abs(found[::factor] - values)) < 1e-4
+
+
+def test_resample_to_the_same_step_is_a_copy():
+    values = np.arange(5.0)
+    found = resample(values, 0.01, 0.01)
+    assert np.array_equal(found, values) and found is not values
+
+
+@pytest.mark.parametrize("new", [1e-6, 100.0])
+def test_resample_refuses_absurd_steps(new):
+    with pytest.raises(ParameterError, match=r"new_interval = .*factor of 1000"):
+        resample(np.zeros(10), 0.01, new)
+
+
+def test_time_compression_halves_duration_and_doubles_frequency():
+    record = made_record(sine(3.0, 0.01)[1])
+    plain = RecordedMotion(record=record, highpass_frequency=None)
+    double = replace(plain, time_compression=2.0)
+    slow, fast = (target_history(m, 1e-3).acceleration for m in (plain, double))
+    assert len(slow) == 20001 and len(fast) == 10001
+    time = 1e-3 * np.arange(len(fast))
+    inner = slice(1000, -1000)
+    expected = np.sin(2.0 * math.pi * 6.0 * time + 0.4)
+    assert np.max(np.abs(fast - expected)[inner]) < 1e-4
+    # The same values, every second sample of the slow motion.
+    assert np.max(np.abs(fast - slow[::2])[inner]) < 1e-4
+
+
+def test_time_compression_by_the_root_of_a_length_scale():
+    # The similitude law of reduced specimens: an irrational ratio of steps.
+    record = made_record(sine(3.0, 0.01)[1])
+    for scale in (2.0, 3.0, 5.0, 10.0):
+        motion = RecordedMotion(
+            record=record, highpass_frequency=None, time_compression=math.sqrt(scale)
+        )
+        found = target_history(motion, 1e-3).acceleration
+        time = 1e-3 * np.arange(len(found))
+        expected = np.sin(2.0 * math.pi * 3.0 * math.sqrt(scale) * time + 0.4)
+        assert len(found) == math.floor(20.0 / math.sqrt(scale) / 1e-3) + 1
+        assert np.max(np.abs(found - expected)[1000:-1000]) < 2e-4
+
+
+def test_amplitude_is_linear():
+    one, three = (
+        target_history(RecordedMotion(record=RECORD_NAMES[2], amplitude=a), 1e-3) for a in (1.0, 3.0)
+    )
+    for field in ("acceleration", "velocity", "displacement"):
+        expected = 3.0 * getattr(one, field)
+        assert np.max(np.abs(getattr(three, field) - expected)) < 1e-12 * np.max(np.abs(expected))
+
+
+def test_duration_cuts_the_motion():
+    motion = RecordedMotion(record=RECORD_NAMES[0], duration=3.25)
+    whole = target_history(replace(motion, duration=None), 1e-3).acceleration
+    cut = target_history(motion, 1e-3).acceleration
+    assert len(cut) == 3251 and np.array_equal(cut, whole[:3251])
+    assert control_steps(motion, 5e-3, 1e-3) == 650
+
+
+@pytest.mark.parametrize("name", RECORD_NAMES)
+def test_record_is_kept_but_for_its_drift(name):
+    record = load_record(name)
+    history = target_history(RecordedMotion(record=name), 1e-3)
+    factor = round(record.sampling_interval / 1e-3)
+    # The high-pass at 0.1 Hz takes the drift, up to 3 % of the CLC records, and leaves the rest.
+    error = history.acceleration[::factor] - record.acceleration
+    assert np.std(error) < 0.04 * np.std(record.acceleration)
+    assert np.max(np.abs(history.displacement)) < 0.6
+    assert np.max(np.abs(history.velocity)) < 1.0
+
+
+def test_highpass_has_no_delay_and_can_be_left_out():
+    record = load_record(RECORD_NAMES[4])
+    plain = target_history(RecordedMotion(record=record, highpass_frequency=None), 0.01)
+    assert np.array_equal(plain.acceleration, record.acceleration)
+    filtered = target_history(RecordedMotion(record=record), 0.01).acceleration
+    lags = np.arange(-5, 6)
+    centre = slice(100, -100)
+    match = [np.dot(np.roll(filtered, lag)[centre], record.acceleration[centre]) for lag in lags]
+    assert lags[int(np.argmax(match))] == 0
+
+
+def test_velocity_and_displacement_are_integrals():
+    history = target_history(RecordedMotion(record=RECORD_NAMES[0]), 1e-3)
+    for value, rate in (
+        (history.displacement, history.velocity),
+        (history.velocity, history.acceleration),
+    ):
+        middle = 0.5 * (rate[1:] + rate[:-1])
+        difference = np.diff(value) / 1e-3 - middle
+        # Integrals less a straight line: the rate differs by one constant, and nothing else.
+        assert np.ptp(difference) < 1e-9 * np.max(np.abs(rate))
+        assert abs(np.mean(difference)) < 0.02 * np.max(np.abs(rate))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("amplitude", -1.0),
+        ("amplitude", math.nan),
+        ("amplitude", "1"),
+        ("time_compression", 0.0),
+        ("time_compression", -2.0),
+        ("duration", 0.0),
+        ("duration", math.inf),
+        ("highpass_frequency", 0.0),
+        ("highpass_frequency", 50.0),
+        ("highpass_frequency", math.nan),
+        ("record", 5),
+    ],
+)
+def test_bad_recorded_motion_raises_a_parameter_error(field, value):
+    values = {"record": made_record(np.ones(100)), field: value}
+    with pytest.raises(ParameterError) as caught:
+        RecordedMotion(**values)
+    assert caught.value.field == field and repr(value) in str(caught.value)
+    assert "must" in caught.value.remedy
+
+
+def test_unknown_record_names_the_nearest():
+    with pytest.raises(RecordError, match=r"record = 'ridgecrest2019_clc_9'.*'ridgecrest2019_clc_90'"):
+        RecordedMotion(record="ridgecrest2019_clc_9")
+
+
+@pytest.mark.parametrize(
+    ("kind", "field", "value"),
+    [
+        (FilteredNoise, "duration", 0.0),
+        (FilteredNoise, "duration", math.nan),
+        (FilteredNoise, "amplitude", -0.1),
+        (Envelope, "rise", -1.0),
+        (Envelope, "hold", math.inf),
+        (Envelope, "decay_rate", math.nan),
+    ],
+)
+def test_bad_noise_raises_a_parameter_error(kind, field, value):
+    with pytest.raises(ParameterError, match=f"{field} = .*must be a finite number"):
+        kind(**{field: value})
+
+
+def test_envelope():
+    envelope = Envelope(rise=2.0, hold=3.0, decay_rate=0.5)
+    time = np.array([0.0, 1.0, 2.0, 4.9, 5.0, 7.0])
+    expected = [0.0, 0.25, 1.0, 1.0, 1.0, math.exp(-1.0)]
+    assert envelope.at(time) == pytest.approx(expected, rel=1e-12)
+    sudden = Envelope(rise=0.0, hold=1.0, decay_rate=0.0)
+    assert np.array_equal(sudden.at(np.array([0.0, 5.0])), [1.0, 1.0])
+    fine = envelope.at(np.linspace(0.0, 20.0, 100001))
+    assert np.max(np.abs(np.diff(fine))) < 3e-4 and np.max(fine) <= 1.0 and np.min(fine) >= 0.0
+
+
+# Records
+
+
+def embedded_text(name):
+    return resources.files("shake_env.records").joinpath(f"{name}.csv").read_text(encoding="utf-8")
+
+
+def test_there_are_six_records():
+    assert len(set(RECORD_NAMES)) == 6
+    files = {p.name for p in resources.files("shake_env.records").iterdir() if p.name.endswith(".csv")}
+    assert files == {f"{name}.csv" for name in RECORD_NAMES}
+
+
+@pytest.mark.parametrize("name", RECORD_NAMES)
+def test_embedded_record_is_what_its_header_says(name):
+    record = load_record(name)
+    lines = embedded_text(name).splitlines()
+    header = dict(line[2:].split(": ", 1) for line in lines if line.startswith("#"))
+    samples = [float(line) for line in lines if not line.startswith("#") and line != "acceleration"]
+    assert len(record.acceleration) == int(header["points"]) == len(samples)
+    assert record.sampling_interval == float(header["sampling_interval_s"])
+    assert record.acceleration == pytest.approx(np.array(samples) * 9.80665, rel=1e-15)
+    assert dict(record.attribution) == header
+    for key in ("event", "station", "component", "network", "licence", "source"):
+        assert header[key]
+    assert "CESMD" in header["network"] and "attribution" in header["licence"]
+    # An earthquake in m/s^2, not in g or cm/s^2.
+    assert 1.0 < np.max(np.abs(record.acceleration)) < 10.0
+
+
+@pytest.mark.parametrize(
+    ("prefix", "interval", "points", "seconds"),
+    [("ridgecrest2019", 0.01, 6000, 59.99), ("napa2014", 0.005, 6997, 34.98)],
+)
+def test_steps_and_counts_of_the_records(prefix, interval, points, seconds):
+    names = [name for name in RECORD_NAMES if name.startswith(prefix)]
+    assert len(names) in (2, 4)
+    for name in names:
+        record = load_record(name)
+        assert (record.sampling_interval, len(record.acceleration)) == (interval, points)
+        assert record.duration == pytest.approx(seconds, rel=1e-12)
+
+
+def test_a_record_is_read_only_and_compared_by_its_samples():
+    record = load_record(RECORD_NAMES[0])
+    with pytest.raises(ValueError, match="read-only"):
+        record.acceleration[0] = 1.0
+    source = np.sin(np.arange(50.0))
+    one, same, other = made_record(source), made_record(source.copy()), made_record(2.0 * source)
+    assert one == same and hash(one) == hash(same)
+    assert one != other  # what is computed from a record is cached by the record
+    source[0] = 99.0
+    assert one.acceleration[0] == 0.0
+
+
+def test_two_records_of_one_name_are_two_motions():
+    values = sine(2.0, 0.01)[1]
+    histories = [
+        target_history(RecordedMotion(record=made_record(s * values)), 1e-3) for s in (1.0, 2.0)
+    ]
+    difference = histories[1].acceleration - 2.0 * histories[0].acceleration
+    assert np.max(np.abs(difference)) < 1e-12 < np.max(np.abs(histories[0].acceleration))
+
+
+@pytest.mark.parametrize(
+    ("acceleration", "interval", "message"),
+    [
+        (np.array([1.0]), 0.01, r"acceleration shape = \(1,\)"),
+        (np.zeros((3, 2)), 0.01, r"acceleration shape = \(3, 2\)"),
+        (np.array([0.0, np.nan]), 0.01, "sample 1 = nan"),
+        (np.zeros(5), 0.0, "sampling_interval_s = 0.0"),
+        (np.zeros(5), math.nan, "sampling_interval_s = nan"),
+    ],
+)
+def test_bad_record_raises_a_record_error(acceleration, interval, message):
+    with pytest.raises(RecordError, match=message):
+        Record("made", acceleration, interval, ())
+
+
+def small_text(points=4, samples=("0.1", "-0.2", "0.3", "0.0"), **header):
+    lines = {
+        "event": "e",
+        "station": "s",
+        "component": "c",
+        "network": "n",
+        "licence": "l",
+        "sampling_interval_s": "0.01",
+        "points": str(points),
+        "units": "g",
+        **header,
+    }
+    head = [f"# {key}: {value}" for key, value in lines.items() if value is not None]
+    return "\n".join([*head, "acceleration", *samples]) + "\n"
+
+
+def test_small_text_is_a_record():
+    record = parse_record("small", small_text())
+    assert record.acceleration == pytest.approx(np.array([0.1, -0.2, 0.3, 0.0]) * GRAVITY)
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "value"),
+    [
+        (small_text(points=5), "points", "5"),
+        (small_text(samples=("0.1", "-0.2", "0.3")), "points", "4"),
+        (small_text(samples=("0.1", "-0.2", "0.3", "0.0", "0.0")), "points", "4"),
+        (small_text(points=1, samples=("0.1",)), "points", "1"),
+        (small_text(points="4.5"), "points", "4.5"),
+        (small_text(points="many"), "points", "many"),
+        (small_text(points="nan"), "points", "nan"),
+        (small_text(samples=("0.1", "nan", "0.3", "0.0")), "line 11", "nan"),
+        (small_text(samples=("0.1", "-inf", "0.3", "0.0")), "line 11", "-inf"),
+        (small_text(samples=("0.1", "1e308", "0.3", "0.0")), "line 11", "1e308"),
+        (small_text(samples=("0.1", "shake", "0.3", "0.0")), "line 11", "shake"),
+        (small_text(samples=("0.1", "", "0.3", "0.0")), "line 11", ""),
+        (small_text(samples=("0.1", "1_0", "0.3", "0.0")), "line 11", "1_0"),
+        (small_text(samples=("0.1", "\u0663", "0.3", "0.0")), "line 11", "\u0663"),
+        (small_text(samples=("0.1", "0.2,0.3", "0.3", "0.0")), "line 11", "0.2,0.3"),
+        (small_text(samples=("0.1", "# a: b", "0.3", "0.0")), "line 11", "# a: b"),
+        (small_text(units="m/s^2"), "units", "m/s^2"),
+        (small_text(units=None), "header", "units"),
+        (small_text(licence=None), "header", "licence"),
+        (small_text(sampling_interval_s="0"), "sampling_interval_s", "0"),
+        (small_text(sampling_interval_s="-0.01"), "sampling_interval_s", "-0.01"),
+        (small_text(sampling_interval_s="fast"), "sampling_interval_s", "fast"),
+        (small_text(sampling_interval_s="inf"), "sampling_interval_s", "inf"),
+        (small_text().replace("acceleration", "velocity"), "line 9", "velocity"),
+        (small_text().replace("acceleration\n", ""), "line 9", "0.1"),
+        (small_text().replace("# event: e", "# event e"), "line 1", "# event e"),
+        ("# points: 3\n" + small_text(), "line 8", "points: 4"),
+        ("", "header", "event"),
+    ],
+)
+def test_a_spoilt_record_raises_an_error_that_names_place_and_value(text, place, value):
+    with pytest.raises(RecordError) as caught:
+        parse_record("small", text)
+    assert caught.value.field.startswith("small") and place in caught.value.field
+    assert value in str(caught.value)
+    assert caught.value.remedy
+
+
+def test_a_truncated_record_is_refused():
+    text = embedded_text(RECORD_NAMES[0])
+    for share in (0.3, 0.9, 0.999):
+        with pytest.raises(RecordError, match=r"points|line"):
+            parse_record("cut", text[: int(share * len(text))])
+
+
+@settings(
+    max_examples=300,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+@given(
+    edits=st.lists(
+        st.tuples(
+            st.sampled_from(["delete", "insert", "replace", "cut", "repeat line"]),
+            st.floats(0.0, 1.0, exclude_max=True),
+            st.one_of(
+                st.sampled_from(["\n", "#", "nan", "1e999", "-", ".", "e", "_", "\x00", ":", "9", "\r"]),
+                st.text(max_size=4),
+            ),
+        ),
+        min_size=1,
+        max_size=4,
+    )
+)
+def test_any_edit_of_a_record_is_read_soundly_or_refused(edits):
+    text = small_text(points=6, samples=("0.1", "-0.2", "0.3", "0.0", "1.5e-3", "-2"))
+    for kind, share, piece in edits:
+        i = int(share * len(text))
+        if kind == "delete":
+            text = text[:i] + text[i + 1 + len(piece) :]
+        elif kind == "insert":
+            text = text[:i] + piece + text[i:]
+        elif kind == "replace":
+            text = text[:i] + piece + text[i + 1 :]
+        elif kind == "cut":
+            text = text[:i]
+        else:
+            lines = text.splitlines()
+            at = int(share * len(lines))
+            text = "\n".join([*lines[:at], *lines[at : at + 1], *lines[at:]])
+    try:
+        record = parse_record("edited", text)
+    except RecordError as error:
+        assert error.field.startswith("edited") and error.remedy
+        return
+    header = dict(record.attribution)
+    assert len(record.acceleration) == float(header["points"]) >= 2
+    assert np.all(np.isfinite(record.acceleration))
+    assert record.sampling_interval > 0.0 and math.isfinite(record.sampling_interval)
+    assert header["units"] == "g"
+    # Text lines after the column's name, as a person counts them.
+    lines = [line for line in text.splitlines() if not line.startswith("#")]
+    assert len(record.acceleration) == len(lines) - 1
