@@ -95,8 +95,9 @@ class TrainConfig:
     """Options of SAC, used with --algorithm sac."""
     seed: int = 0
     """Seed of networks, exploration and earthquakes."""
-    total_steps: int = 4_000_000
-    """Control periods of all tables together."""
+    total_steps: int | None = None
+    """Control periods of all tables together (unset: 4 million for PPO, 250 thousand for SAC, either
+    5 to 10 minutes)."""
     horizon: float = 0.25
     """Time over which the discount looks ahead [s]; discount = exp(-control period / horizon)."""
     episode: float = 10.0
@@ -116,9 +117,17 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         require_positive(
-            self, "total_steps", "horizon", "episode", "state_limit", "evaluation_interval",
+            self, "horizon", "episode", "state_limit", "evaluation_interval",
             "evaluation_earthquakes", "checkpoint_interval", "threads",
         )  # fmt: skip
+        if self.total_steps is not None:
+            require_positive(self, "total_steps")
+        if self.ppo.tables * self.ppo.rollout_steps % self.ppo.batch_size:
+            raise ParameterError(
+                "batch_size",
+                self.ppo.batch_size,
+                f"must divide the {self.ppo.tables * self.ppo.rollout_steps} samples of a roll-out",
+            )
         not_positive = ("initial_log_std", "target_entropy", "base", "scale_free")
         for options in (self.ppo, self.sac):
             require_positive(options, *(name for name in vars(options) if name not in not_positive))
@@ -133,6 +142,11 @@ class TrainConfig:
     def chosen(self) -> PPOOptions | SACOptions:
         """The options of the algorithm in use."""
         return self.ppo if self.algorithm == "ppo" else self.sac
+
+    @property
+    def steps(self) -> int:
+        """Control periods to train for."""
+        return self.total_steps or {"ppo": 4_000_000, "sac": 250_000}[self.algorithm]
 
     def discount(self, control_period: float) -> float:
         """Return gamma for a control period [s]."""

@@ -162,7 +162,7 @@ class _Watch(BaseCallback):
         self.report(
             Progress(
                 self.model.num_timesteps,
-                self.config.total_steps,
+                self.config.steps,
                 time.monotonic() - self.started,
                 self.cost_ratio,
             )
@@ -199,7 +199,7 @@ def _run(
     model.set_logger(configure(str(run / "tensorboard"), ["tensorboard"]))
     with threadpool_limits(config.threads):
         watch = _Watch(config, env, run, report)
-        remaining = config.total_steps - model.num_timesteps
+        remaining = config.steps - model.num_timesteps
         if remaining > 0:
             # SB3 counts what is added to the steps done, and its learning rate from the sum.
             model.learn(remaining, callback=watch, reset_num_timesteps=False, log_interval=10)

@@ -98,8 +98,9 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     changed by a keyword: ``stories``, ``mass_ratio``, ``storey_frequency``, ``damping_ratio``,
     ``specimen``, ``equations``, ``physics_step``, ``control_rate``, ``acceleration_weight``,
     ``force_weight``, ``current_weight``, ``objective``, ``motion``, ``record``, ``amplitude``,
-    ``duration``, ``time_compression``, ``highpass_frequency``, ``current_limit``, ``limits`` (see
-    ``make_scenario``). ``reset(options={"motion": ...})`` takes another motion for one episode.
+    ``duration``, ``time_compression``, ``highpass_frequency``, ``current_limit``, ``limits``,
+    ``nonlinearity``, ``delay``, ``uncertainty`` (see ``make_scenario``).
+    ``reset(options={"motion": ...})`` takes another motion for one episode.
 
     ## Versions
 

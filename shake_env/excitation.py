@@ -15,14 +15,19 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from shake_env.discretization import DiscretePlant
 from shake_env.dynamics import as_like
 from shake_env.errors import ParameterError
 from shake_env.motion import FilteredNoise, Motion, RecordedMotion, TargetHistory, target_history
-from shake_env.parameters import FloatArray
+from shake_env.nonlinear_dynamics import apply
+from shake_env.nonlinearity import Yielding
+from shake_env.parameters import FloatArray, GroundFilter
+from shake_env.reference import YieldingReference
 
 Array = Any  # a numpy array or a torch tensor
+IntArray = NDArray[np.intp]
 BLOCK_STEPS = 64  # control periods computed ahead
 
 
@@ -112,13 +117,12 @@ def _noise_map(discrete: DiscretePlant) -> FloatArray:
     return np.vstack(blocks)
 
 
-def filter_state(discrete: DiscretePlant, history: TargetHistory) -> FloatArray:
+def filter_state(ground: GroundFilter, history: TargetHistory, dt: float) -> FloatArray:
     """Return the filter state (samples, 2 or 4) that a recorded target would have come from.
 
     ``x_w' = y~ / (2 zeta_g omega_g)`` and x_w its integral; with the high-pass, y~ first becomes the
     high-pass's input, whose states are the ground's displacement and velocity.
     """
-    ground = discrete.plant.ground
     gain = 2.0 * ground.damping_ratio * ground.omega
     if ground.highpass_frequency is None:
         return np.stack([history.velocity, history.acceleration], axis=-1) / gain
@@ -128,7 +132,7 @@ def filter_state(discrete: DiscretePlant, history: TargetHistory) -> FloatArray:
     source = a + friction * v + omega_h**2 * x
     # The integral of the source is known from v and x but for the integral of x, whose own drift is
     # what the high-pass removes.
-    integral = v + friction * x + omega_h**2 * _running_integral(x, discrete.dt)
+    integral = v + friction * x + omega_h**2 * _running_integral(x, dt)
     return np.stack([integral / gain, source / gain, x, v], axis=-1)
 
 
@@ -138,37 +142,50 @@ def _running_integral(values: FloatArray, step: float) -> FloatArray:
     return summed - np.polyval(np.polyfit(line, summed, 1), line)
 
 
-@lru_cache(maxsize=64)
-def _recorded_rows(discrete: DiscretePlant, motion: RecordedMotion) -> tuple[FloatArray, FloatArray]:
-    """Return the initial exogenous state and the rows (steps, width) of a recorded motion."""
-    rows, layout, k = _Rows.of(discrete), discrete.layout, discrete.substeps
-    steps = control_steps(motion, k * discrete.dt, discrete.dt)
-    history = target_history(motion, discrete.dt)
-    samples = np.lib.stride_tricks.sliding_window_view(history.acceleration, k + 1)[::k][:steps]
-    states = filter_state(discrete, history)[::k][: steps + 1]
-
-    lifted, w = discrete.lifted_record, layout.filter_states
+def _record_map(discrete: DiscretePlant) -> FloatArray:
+    """Return the map ``[x~_S, k + 1 target samples] -> [x~_S, shear, drive]`` of one control period."""
+    layout, lifted, w = discrete.layout, discrete.lifted_record, discrete.layout.filter_states
     n = layout.order - w
     reference = np.r_[layout.reference] - w
-    columns = np.r_[reference, n + 1 : n + 2 + k]
+    columns = np.r_[reference, n + 1 : lifted.state.shape[1]]
     blocks = [lifted.state[np.ix_(reference, columns)], lifted.outputs[:, 2, columns]]
-    if rows.drive:
+    if discrete.plant.equations.specimen_feels_target:
         controlled = np.r_[layout.controlled] - w
         blocks += [
             lifted.state[np.ix_(controlled, columns)],
             lifted.outputs[:, 0, columns],
             lifted.outputs[:, 1, columns],
         ]
-    step_map = np.vstack(blocks).T
-    x = np.zeros(2 * layout.stories)
-    result = np.empty((steps, rows.width))
-    for t in range(steps):
-        moved = np.concatenate([x, samples[t]]) @ step_map
-        x = moved[: len(x)]
-        shear, drive = moved[len(x) : len(x) + k], moved[len(x) + k :]
-        result[t] = np.concatenate([states[t + 1], x, samples[t, 1:], shear, drive])
-    result.flags.writeable = False
-    return np.concatenate([states[0], np.zeros(2 * layout.stories)]), result
+    return np.vstack(blocks)
+
+
+@dataclass(frozen=True)
+class GroundMaps:
+    """What the ground of a plant is computed with; common to the batch, or stacked, one a lane."""
+
+    noise: FloatArray  # (..., rows, columns) see _noise_map
+    record: FloatArray  # (..., rows, columns) see _record_map
+    yielding: YieldingReference | None
+
+    @classmethod
+    def of(cls, discrete: DiscretePlant, yielding: Yielding) -> GroundMaps:
+        """Return the maps of one plant."""
+        reference = (
+            YieldingReference.of(discrete.plant, yielding, discrete.dt) if yielding.active else None
+        )
+        return cls(_noise_map(discrete), _record_map(discrete), reference)
+
+    def pick(self, lanes: IntArray) -> GroundMaps:
+        """Return the maps of some lanes."""
+        if self.noise.ndim == 2:
+            return self
+        reference = None if self.yielding is None else self.yielding.pick(lanes)
+        return GroundMaps(self.noise[lanes], self.record[lanes], reference)
+
+
+@lru_cache(maxsize=64)
+def _filter_history(ground: GroundFilter, motion: RecordedMotion, dt: float) -> FloatArray:
+    return filter_state(ground, target_history(motion, dt), dt)
 
 
 class Excitation:
@@ -180,18 +197,23 @@ class Excitation:
         Plant, physics step and control period.
     lanes
         Number of tables N.
+    maps
+        How the ground of each lane is computed; None: as for `discrete` with a linear specimen.
     """
 
-    def __init__(self, discrete: DiscretePlant, lanes: int) -> None:
+    def __init__(self, discrete: DiscretePlant, lanes: int, maps: GroundMaps | None = None) -> None:
         self._discrete = discrete
         self._rows = _Rows.of(discrete)
-        self._map = np.ascontiguousarray(_noise_map(discrete).T)
+        self.maps = GroundMaps.of(discrete, Yielding()) if maps is None else maps
         self._exogenous = self._rows.ground + self._rows.reference
-        self._draws = self._map.shape[0] - self._exogenous
+        self._draws = self.maps.noise.shape[-1] - self._exogenous
         self._motions: list[Motion] = [FilteredNoise()] * lanes
         self._streams: list[np.random.Generator | None] = [None] * lanes
         self._filled = np.zeros(lanes, dtype=int)  # control periods of its motion each lane has filled
         self._tail = np.zeros((lanes, self._exogenous))  # exogenous state at the filled end
+        stories = discrete.layout.stories
+        self._slipping = np.zeros((lanes, 3 * stories))  # yielding reference at the filled end
+        self._last_target = np.zeros(lanes)  # target there
         self._buffer = np.zeros((BLOCK_STEPS, lanes, self._rows.width))
         self._noise = np.empty((lanes, BLOCK_STEPS, self._draws))
         self._cursor = 0
@@ -209,9 +231,12 @@ class Excitation:
         for row, (lane, motion, stream) in enumerate(zip(lanes, motions, streams, strict=True)):
             self._motions[lane], self._streams[lane] = motion, stream
             self._filled[lane] = 0
-            self._tail[lane] = 0.0
+            self._tail[lane] = self._slipping[lane] = self._last_target[lane] = 0.0
             if isinstance(motion, RecordedMotion):
-                initial[row, : self._exogenous] = _recorded_rows(self._discrete, motion)[0]
+                history = target_history(motion, self._discrete.dt)
+                states = _filter_history(self._discrete.plant.ground, motion, self._discrete.dt)
+                initial[row, : self._rows.ground] = states[0]
+                self._last_target[lane] = history.acceleration[0]
         if self._cursor < BLOCK_STEPS:
             self._fill(list(lanes), self._cursor)
         return self._rows.period(initial)
@@ -227,25 +252,21 @@ class Excitation:
 
     def _fill(self, lanes: list[int], first: int) -> None:
         """Fill the block from row `first` on for `lanes`."""
-        noisy = []
-        steps = BLOCK_STEPS - first
-        for lane in lanes:
-            motion = self._motions[lane]
-            if isinstance(motion, RecordedMotion):
-                recorded = _recorded_rows(self._discrete, motion)[1]
-                part = recorded[self._filled[lane] : self._filled[lane] + steps]
-                self._buffer[first : first + len(part), lane] = part
-                self._buffer[first + len(part) :, lane] = 0.0  # past the end: never read
-                self._filled[lane] += steps
-            else:
-                noisy.append(lane)
-                self._draw(lane, motion, steps)
+        recorded = [lane for lane in lanes if isinstance(self._motions[lane], RecordedMotion)]
+        noisy = [lane for lane in lanes if not isinstance(self._motions[lane], RecordedMotion)]
+        if recorded:
+            self._run_records(np.asarray(recorded), first)
         if noisy:
+            for lane in noisy:
+                self._draw(lane, BLOCK_STEPS - first)
             self._run_filter(np.asarray(noisy), first)
+        self._filled[lanes] += BLOCK_STEPS - first
+        if self.maps.yielding is not None:
+            self._run_yielding(np.asarray(lanes), first)
 
-    def _draw(self, lane: int, motion: FilteredNoise, steps: int) -> None:
-        stream, noise = self._streams[lane], self._noise[lane, :steps]
-        assert stream is not None  # only started lanes are filled
+    def _draw(self, lane: int, steps: int) -> None:
+        motion, stream, noise = self._motions[lane], self._streams[lane], self._noise[lane, :steps]
+        assert stream is not None and isinstance(motion, FilteredNoise)  # as _fill sorted them
         stream.standard_normal(out=noise)
         if motion.envelope is not None:
             k = self._discrete.substeps
@@ -253,19 +274,60 @@ class Excitation:
             intensity = motion.envelope.at((begun + 0.5) * self._discrete.dt)
             noise.reshape(steps, k, -1)[...] *= intensity[..., None]
         noise *= motion.amplitude
-        self._filled[lane] += steps
 
-    def _run_filter(self, lanes: FloatArray, first: int) -> None:
-        every = len(lanes) == len(self._motions)
-        pick = slice(None) if every else lanes
+    def _run_filter(self, lanes: IntArray, first: int) -> None:
+        pick = slice(None) if len(lanes) == len(self._motions) else lanes
+        step_map = self.maps.pick(lanes).noise
         joined = np.empty((len(lanes), self._exogenous + self._draws))
         joined[:, : self._exogenous] = self._tail[pick]
         for offset, row in enumerate(range(first, BLOCK_STEPS)):
             joined[:, self._exogenous :] = self._noise[pick, offset]
-            moved = joined @ self._map
+            moved = apply(step_map, joined)
             self._buffer[row, pick] = moved
             joined[:, : self._exogenous] = moved[:, : self._exogenous]
         self._tail[pick] = joined[:, : self._exogenous]
+
+    def _run_records(self, lanes: IntArray, first: int) -> None:
+        k, dt, rows = self._discrete.substeps, self._discrete.dt, self._rows
+        steps = BLOCK_STEPS - first
+        samples = np.zeros((len(lanes), steps * k + 1))  # past its end a record is at rest: never read
+        states = np.zeros((len(lanes), steps, rows.ground))
+        for row, lane in enumerate(lanes):
+            motion = self._motions[lane]
+            assert isinstance(motion, RecordedMotion)  # as _fill sorted them
+            begin = self._filled[lane] * k
+            part = target_history(motion, dt).acceleration[begin : begin + steps * k + 1]
+            samples[row, : len(part)] = part
+            ends = _filter_history(self._discrete.plant.ground, motion, dt)[begin + k :: k][:steps]
+            states[row, : len(ends)] = ends
+        step_map = self.maps.pick(lanes).record
+        x = self._tail[lanes, rows.ground :]
+        reference = slice(rows.ground, self._exogenous)
+        target = slice(self._exogenous, self._exogenous + k)
+        for offset, row in enumerate(range(first, BLOCK_STEPS)):
+            now = samples[:, offset * k : offset * k + k + 1]
+            moved = apply(step_map, np.concatenate([x, now], axis=1))
+            x = moved[:, : rows.reference]
+            self._buffer[row, lanes, : rows.ground] = states[:, offset]
+            self._buffer[row, lanes, reference] = x
+            self._buffer[row, lanes, target] = now[:, 1:]
+            self._buffer[row, lanes, target.stop :] = moved[:, rows.reference :]
+        self._tail[lanes, rows.ground :] = x
+
+    def _run_yielding(self, lanes: IntArray, first: int) -> None:
+        """Put the yielding reference in the place of the linear one."""
+        assert self.maps.yielding is not None  # the caller asked
+        k, n = self._discrete.substeps, self._discrete.layout.stories
+        at = self._exogenous
+        block = self._buffer[first:, lanes]
+        target = block[:, :, at : at + k].transpose(0, 2, 1).reshape(-1, len(lanes))
+        target = np.concatenate([self._last_target[None, lanes], target])
+        reference = self.maps.yielding.pick(lanes)
+        final, states, shear = reference.run(self._slipping[lanes], target)
+        self._slipping[lanes], self._last_target[lanes] = final, target[-1]
+        block[:, :, self._rows.ground : at] = states[k - 1 :: k, :, : 2 * n]
+        block[:, :, at + k : at + 2 * k] = shear.reshape(-1, k, len(lanes)).transpose(0, 2, 1)
+        self._buffer[first:, lanes] = block
 
     def snapshot(self) -> dict[str, Any]:
         """Return everything that `restore` needs to go on exactly, as plain picklable values."""
@@ -274,6 +336,8 @@ class Excitation:
             "streams": copy.deepcopy(self._streams),
             "filled": self._filled.copy(),
             "tail": self._tail.copy(),
+            "slipping": self._slipping.copy(),
+            "last_target": self._last_target.copy(),
             "buffer": self._buffer.copy(),
             "cursor": self._cursor,
         }
@@ -284,5 +348,7 @@ class Excitation:
         self._streams = copy.deepcopy(snapshot["streams"])
         self._filled[:] = snapshot["filled"]
         self._tail[:] = snapshot["tail"]
+        self._slipping[:] = snapshot["slipping"]
+        self._last_target[:] = snapshot["last_target"]
         self._buffer[:] = snapshot["buffer"]
         self._cursor = snapshot["cursor"]

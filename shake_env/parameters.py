@@ -174,6 +174,26 @@ class Specimen:
             dampings=(damping,) * stories,
         )
 
+    def uniform_values(self, table_mass: float = TABLE_MASS) -> dict[str, Any]:
+        """Return what :meth:`uniform` would have made this specimen of.
+
+        Raises
+        ------
+        ParameterError
+            If its storeys differ.
+        """
+        m, k, c = self.masses[0], self.stiffnesses[0], self.dampings[0]
+        if set(self.masses) != {m} or set(self.stiffnesses) != {k} or set(self.dampings) != {c}:
+            raise ParameterError(
+                "specimen", self, "its storeys differ: change it with specimen=Specimen(...)"
+            )
+        return {
+            "stories": self.stories,
+            "mass_ratio": self.mass / table_mass,
+            "storey_frequency": math.sqrt(k / m) / (2.0 * math.pi),
+            "damping_ratio": c / (2.0 * math.sqrt(m * k)),
+        }
+
     @property
     def stories(self) -> int:
         """Number of storeys n_m."""

@@ -8,10 +8,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypedDict
 
+import numpy as np
+
 from shake_env.discretization import DiscretePlant
 from shake_env.errors import ParameterError, ScenarioError, unknown
 from shake_env.limits import Limits
 from shake_env.motion import FilteredNoise, Motion, RecordedMotion
+from shake_env.nonlinearity import Nonlinearity
 from shake_env.objective import Objective, StageCost
 from shake_env.parameters import (
     Actuator,
@@ -21,6 +24,7 @@ from shake_env.parameters import (
     require_positive,
 )
 from shake_env.plant import REFERENCE_CURRENT, CoupledPlant
+from shake_env.uncertainty import Uncertainty
 
 _KINDS: tuple[tuple[str, type | tuple[type, ...]], ...] = (
     ("actuator", Actuator),
@@ -63,12 +67,19 @@ class Scenario:
     # over five times LQR's rms at 200 Hz, so that clipping to [-1, 1] leaves the linear optimum alone.
     current_limit: float = 5.0 * REFERENCE_CURRENT  # [A] current of action 1
     limits: Limits = field(default_factory=Limits)
+    nonlinearity: Nonlinearity = field(default_factory=Nonlinearity)
+    delay: int = 0  # [physics steps] from the controller's command to the valve
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
 
     def __post_init__(self) -> None:
         for name, kind in _KINDS:
             if not isinstance(getattr(self, name), kind):
                 raise ScenarioError(name, getattr(self, name), f"must be a {_names(kind)}")
         require_positive(self, "physics_step", "control_rate", "current_limit")
+        if not isinstance(self.delay, (int, np.integer)) or self.delay < 0:
+            raise ParameterError(
+                "delay", self.delay, "must be a whole number of physics steps, at least 0"
+            )
         ratio = 1.0 / (self.control_rate * self.physics_step)
         if round(ratio) < 1 or not math.isclose(ratio, round(ratio), rel_tol=1e-9):
             nearest = 1.0 / (max(round(ratio), 1) * self.physics_step)
@@ -78,6 +89,31 @@ class Scenario:
                 f"its period is {ratio:.6g} physics steps of {self.physics_step} s and must be a whole "
                 f"number of them: try {nearest:.6g} Hz",
             )
+
+    def drawn(self, stream: np.random.Generator) -> Scenario:
+        """Return this scenario with a true plant drawn from its uncertainty."""
+        values = self.uncertainty.sample(stream)
+        changes: dict[str, Any] = {}
+        specimen = {name: values[name] for name in _UNIFORM if name in values}
+        if specimen:
+            table_mass = self.actuator.table_mass
+            now = {**self.specimen.uniform_values(table_mass), **specimen}
+            changes["specimen"] = Specimen.uniform(**now, table_mass=table_mass)
+        actuator = {name: value for name, value in values.items() if name in vars(self.actuator)}
+        if actuator:
+            changes["actuator"] = replace(self.actuator, **actuator)
+        if "coulomb_friction" in values:
+            friction = replace(self.nonlinearity.friction, coulomb=values["coulomb_friction"])
+            changes["nonlinearity"] = replace(self.nonlinearity, friction=friction)
+        if "delay" in values:
+            changes["delay"] = round(values["delay"])
+        return replace(self, **changes)
+
+    @property
+    def longest_delay(self) -> int:
+        """Longest loop delay [physics steps] that a drawn plant can have."""
+        uncertain = self.uncertainty.delay
+        return int(self.delay) if uncertain is None else math.ceil(uncertain.high)
 
     @property
     def substeps(self) -> int:
@@ -134,12 +170,18 @@ class Overrides(TypedDict, total=False):
     highpass_frequency: float
     current_limit: float
     limits: str | Limits
+    nonlinearity: Nonlinearity
+    delay: int
+    uncertainty: Uncertainty
 
 
 _UNIFORM = ("stories", "mass_ratio", "storey_frequency", "damping_ratio")
 _WEIGHTS = ("acceleration_weight", "force_weight", "current_weight")
 _MOTION = ("amplitude", "duration", "time_compression")
-_DIRECT = ("specimen", "objective", "motion", "physics_step", "control_rate", "current_limit")
+_DIRECT = (
+    "specimen", "objective", "motion", "physics_step", "control_rate", "current_limit", "nonlinearity",
+    "delay", "uncertainty",
+)  # fmt: skip
 
 
 def make_scenario(scenario: str | Scenario = "linear", overrides: Overrides | None = None) -> Scenario:
@@ -155,7 +197,8 @@ def make_scenario(scenario: str | Scenario = "linear", overrides: Overrides | No
         ``control_rate`` [Hz]; ``acceleration_weight``, ``force_weight``, ``current_weight`` or
         ``objective``; ``motion``, or ``record`` (its name), ``amplitude``, ``duration`` [s],
         ``time_compression``; ``highpass_frequency`` [Hz] of the ground filter; ``current_limit`` [A];
-        ``limits`` ("off", "laboratory" or a value).
+        ``limits`` ("off", "laboratory" or a value); ``nonlinearity``, ``delay`` [physics steps],
+        ``uncertainty``.
 
     Raises
     ------
@@ -179,7 +222,7 @@ def make_scenario(scenario: str | Scenario = "linear", overrides: Overrides | No
     _exclusive(given, "objective", _WEIGHTS)
     _exclusive(given, "motion", (*_MOTION, "record"))
     if any(name in given for name in _UNIFORM):
-        now = _uniform_values(scenario)
+        now = scenario.specimen.uniform_values(scenario.actuator.table_mass)
         now.update({name: given[name] for name in _UNIFORM if name in given})
         changes["specimen"] = Specimen.uniform(**now, table_mass=scenario.actuator.table_mass)
     if any(name in given for name in _WEIGHTS):
@@ -204,19 +247,6 @@ def _exclusive(given: dict[str, Any], whole: str, parts: tuple[str, ...]) -> Non
         raise ScenarioError(
             whole, given[whole], f"contradicts {', '.join(clash)}: give one or the other"
         )
-
-
-def _uniform_values(scenario: Scenario) -> dict[str, Any]:
-    s, table_mass = scenario.specimen, scenario.actuator.table_mass
-    m, k, c = s.masses[0], s.stiffnesses[0], s.dampings[0]
-    if set(s.masses) != {m} or set(s.stiffnesses) != {k} or set(s.dampings) != {c}:
-        raise ScenarioError("specimen", s, "its storeys differ: change it with specimen=Specimen(...)")
-    return {
-        "stories": s.stories,
-        "mass_ratio": s.mass / table_mass,
-        "storey_frequency": math.sqrt(k / m) / (2.0 * math.pi),
-        "damping_ratio": c / (2.0 * math.sqrt(m * k)),
-    }
 
 
 def _changed_motion(motion: Motion, given: dict[str, Any]) -> Motion:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from shake_env.errors import ActionError
-from shake_env.excitation import Excitation, GroundPeriod, control_steps
+from shake_env.excitation import Excitation, GroundMaps, GroundPeriod, control_steps
+from shake_env.fleet import Fleet
 from shake_env.limits import OBSERVATION_BOUND
 from shake_env.motion import Motion
 from shake_env.parameters import FloatArray
@@ -46,10 +47,15 @@ class Simulation:
 
     def __init__(self, scenario: Scenario, lanes: int) -> None:
         self.scenario = scenario
-        self.model = TableModel.of(scenario)
         self.lanes = lanes
-        self.excitation = Excitation(scenario.discrete, lanes)
-        self.state = np.zeros((lanes, self.model.dynamics.states))  # [x_A, x_S] SI
+        self.fleet = Fleet(scenario, lanes) if scenario.uncertainty.active else None
+        if self.fleet is None:
+            self.model = TableModel.of(scenario)
+            maps = GroundMaps.of(scenario.discrete, scenario.nonlinearity.yielding)
+        else:
+            self.model, maps = self.fleet.model, self.fleet.maps
+        self.excitation = Excitation(scenario.discrete, lanes, maps)
+        self.state = np.zeros((lanes, self.model.dynamics.states))  # SI, [x_A, x_S] first
         self.step_count = np.zeros(lanes, dtype=int)  # control periods since each lane's start
         self.episode_steps = np.zeros(lanes, dtype=int)
         motionless = scenario.stage_cost.motionless(scenario.plant)
@@ -85,6 +91,9 @@ class Simulation:
         Observations (len(lanes), n).
         """
         chosen = [self.scenario.motion] * len(lanes) if motions is None else list(motions)
+        if self.fleet is not None:
+            for lane, stream in zip(lanes, streams, strict=True):
+                self.fleet.draw(lane, stream)
         ground = self.excitation.start(lanes, chosen, streams)
         period, physics_step = self.scenario.control_period, self.scenario.physics_step
         index = np.asarray(lanes, dtype=int)
@@ -136,6 +145,7 @@ class Simulation:
             "step_count": self.step_count.copy(),
             "episode_steps": self.episode_steps.copy(),
             "severity": self._severity.copy(),
+            "fleet": None if self.fleet is None else self.fleet.snapshot(),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -145,6 +155,8 @@ class Simulation:
         self.step_count = snapshot["step_count"].copy()
         self.episode_steps = snapshot["episode_steps"].copy()
         self._severity = snapshot["severity"].copy()
+        if self.fleet is not None:
+            self.fleet.restore(snapshot["fleet"])
 
 
 def checked_action(action: ArrayLike, shape: tuple[int, ...]) -> FloatArray:

@@ -15,6 +15,7 @@ import array_api_compat
 from shake_env.dynamics import PeriodResponse, TableDynamics, as_like
 from shake_env.excitation import GroundPeriod
 from shake_env.limits import Limits
+from shake_env.nonlinear_dynamics import NonlinearDynamics
 from shake_env.objective import CostTerms, StageCost
 from shake_env.scenario import Scenario
 
@@ -35,12 +36,13 @@ class Outcome:
 class TableModel:
     """Everything of a scenario that a step needs, in the library of one array."""
 
-    dynamics: TableDynamics
+    dynamics: TableDynamics | NonlinearDynamics
     stage_cost: StageCost
     limits: Limits
     current_limit: float  # [A]
     observation_scale: Array  # (n,) SI size of each entry of the full state
     filter_states: int
+    controlled: int  # 4 + 2 stories: entries of the state that are the linear plant's
 
     @classmethod
     def of(cls, scenario: Scenario) -> TableModel:
@@ -56,6 +58,7 @@ class TableModel:
             self.current_limit,
             as_like(self.observation_scale, array),
             self.filter_states,
+            self.controlled,
         )
 
     def transition(self, state: Array, action: Array, ground: GroundPeriod) -> Outcome:
@@ -80,25 +83,45 @@ class TableModel:
             ground.reference_shear,
             current,
         )
-        first = self.filter_states
-        scale = self.observation_scale[first : first + self.dynamics.states]
-        broken = self.limits.broken(response.state / scale, response.state, response.table_acceleration)
+        linear = response.state[..., : self.controlled]
+        scale = self.observation_scale[self.filter_states : self.filter_states + self.controlled]
+        broken = self.limits.broken(linear / scale, linear, response.table_acceleration)
         return Outcome(response, current, cost, broken)
 
     def observe(self, state: Array, ground: GroundPeriod) -> Array:
-        """Return the full scaled state (..., n), ``[x_W, x_A, x_S, x~_S]`` over its scale."""
+        """Return the full scaled state (..., n), ``[x_W, x_A, x_S, x~_S]`` over its scale.
+
+        What a nonlinear plant adds to the state (slips, the spool's velocity, commands under way) is not
+        in it.
+        """
         xp = array_api_compat.array_namespace(state)
-        full = xp.concat([ground.ground, state, ground.reference], axis=-1)
+        full = xp.concat([ground.ground, state[..., : self.controlled], ground.reference], axis=-1)
         return full / self.observation_scale
 
 
 @lru_cache(maxsize=32)
 def _model(scenario: Scenario) -> TableModel:
+    layout = scenario.plant.layout
     return TableModel(
-        TableDynamics.of(scenario.discrete),
+        dynamics_of(scenario),
         scenario.stage_cost,
         scenario.limits,
         scenario.current_limit,
         scenario.plant.state_scale,
-        scenario.plant.layout.filter_states,
+        layout.filter_states,
+        layout.controlled.stop - layout.controlled.start,
     )
+
+
+def dynamics_of(scenario: Scenario) -> TableDynamics | NonlinearDynamics:
+    """Return the update of a scenario's table: the lifted linear one where nothing else is needed."""
+    if scenario.nonlinearity.active or scenario.delay or scenario.uncertainty.active:
+        return NonlinearDynamics.of(
+            scenario.plant,
+            scenario.nonlinearity,
+            scenario.physics_step,
+            scenario.substeps,
+            delay=scenario.delay,
+            longest_delay=scenario.longest_delay,
+        )
+    return TableDynamics.of(scenario.discrete)

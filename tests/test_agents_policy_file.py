@@ -24,7 +24,9 @@ from shake_env.errors import PolicyFileError
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_a_file_gives_the_action_that_sb3_gives(algorithm, tmp_path):
     config = TrainConfig(
-        algorithm=algorithm, ppo=PPOOptions(tables=2), sac=SACOptions(tables=2, buffer_size=100)
+        algorithm=algorithm,
+        ppo=PPOOptions(tables=2, rollout_steps=8, batch_size=16),
+        sac=SACOptions(tables=2, buffer_size=100),
     )
     scenario = make_scenario()
     env = ShakeTableVecEnv(scenario, 2, base=base_row("flow", scenario), authority=0.25)

@@ -104,12 +104,23 @@ def test_the_configuration_survives_its_file(tmp_path):
 
 @pytest.mark.parametrize(
     "bad",
-    [{"total_steps": 0}, {"horizon": -1.0}, {"seed": -1}, {"hidden": ()}, {"ppo": PPOOptions(tables=0)}],
+    [
+        {"total_steps": -5},
+        {"horizon": -1.0},
+        {"seed": -1},
+        {"hidden": ()},
+        {"ppo": PPOOptions(tables=64, epochs=0)},
+    ],
 )
 def test_bad_options_are_named(bad):
-    name = "tables" if "ppo" in bad else next(iter(bad))
+    name = "epochs" if "ppo" in bad else next(iter(bad))
     with pytest.raises(ParameterError, match=name):
         TrainConfig(**bad)
+
+
+def test_a_batch_that_does_not_divide_the_rollout_is_refused():
+    with pytest.raises(ParameterError, match=r"batch_size = 2048: must divide the 100 samples"):
+        TrainConfig(ppo=PPOOptions(tables=10, rollout_steps=10))
 
 
 def test_the_discount_comes_from_a_horizon_in_seconds():

@@ -278,6 +278,16 @@ def test_a_limit_holds_up_to_its_value(limit):
         assert terminated == (t == first)
 
 
+def test_a_limit_broken_on_the_last_step_is_no_truncation():
+    env = ShakeTableEnv(limits=Limits(load_pressure=1e5), duration=0.1)
+    env.reset(seed=0)
+    for _ in range(19):
+        assert env.step(np.zeros(1))[2:4] == (False, False)
+    *_, terminated, truncated, info = env.step(np.ones(1))
+    assert (terminated, truncated) == (True, False)
+    assert info["limit_cost"] == pytest.approx(10.0, rel=1e-9)  # of one period at least
+
+
 def test_divergence_ends_an_episode_even_without_limits():
     # The negative of LQR's gain is unstable: it pumps the oil column as far as the current reaches.
     scenario = make_scenario("linear", {"duration": 20.0})
@@ -680,6 +690,9 @@ def test_reset_mask_leaves_the_other_lanes_alone():
     for action in actions[:70]:  # the 70th step lies inside the second block
         before = masked.step(action)[0]
         plain.step(action)
+    returned = before
+    before = before.copy()
+    returned[:] = 7.0  # the caller's to write to
     observation, info = masked.reset(seed=50, options={"reset_mask": np.array([False, True, False])})
     assert np.array_equal(observation[[0, 2]], before[[0, 2]])
     assert np.array_equal(observation[1], np.zeros(14))

@@ -204,7 +204,7 @@ def test_filter_state_of_a_record_is_a_motion_of_the_filter(name, highpass):
     """Its rows are integrals of each other, as the filter's own are; w is what remains."""
     scenario = make_scenario("linear", {"record": name, "highpass_frequency": highpass})
     history = target_history(scenario.motion, 1e-3)
-    state = filter_state(scenario.discrete, history)
+    state = filter_state(scenario.ground, history, scenario.physics_step)
     assert state.shape == (len(history.acceleration), 2 if highpass is None else 4)
     A = scenario.plant.coupled.A[scenario.plant.layout.ground, scenario.plant.layout.ground]
     rate, modelled = np.diff(state, axis=0) / 1e-3, 0.5 * (state[1:] + state[:-1]) @ A.T

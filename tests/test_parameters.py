@@ -232,7 +232,7 @@ def test_contradicting_overrides(overrides, names):
 def test_uneven_specimen_is_not_changed_by_a_word():
     uneven = Specimen(masses=(1.0, 2.0), stiffnesses=(1e3, 1e3), dampings=(1.0, 1.0))
     scenario = replace(Scenario(), specimen=uneven)
-    with pytest.raises(ScenarioError, match="its storeys differ"):
+    with pytest.raises(ParameterError, match="its storeys differ"):
         make_scenario(scenario, {"mass_ratio": 0.3})
 
 

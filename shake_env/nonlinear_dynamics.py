@@ -1,0 +1,300 @@
+"""The update of a table with nonlinear parts: linear part exact, nonlinear forces second order.
+
+``x' = A x + B u + N g(x)`` with g the nonlinear parts' difference from the linear plant, stepped by the
+exponential Runge-Kutta scheme ETD2RK (Cox and Matthews, J. Comput. Phys. 176, 2002): its weights are
+those of the exact zero- and first-order hold. With g = 0 it is the linear plant to the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import array_api_compat
+import numpy as np
+
+from shake_env.discretization import first_order_hold
+from shake_env.dynamics import PeriodResponse, as_like
+from shake_env.errors import ScenarioError
+from shake_env.nonlinearity import Nonlinearity, Yielding
+from shake_env.parameters import FloatArray, ModelEquations
+from shake_env.plant import (
+    LOAD_PRESSURE,
+    SPOOL_POSITION,
+    TABLE_DISPLACEMENT,
+    TABLE_VELOCITY,
+    CoupledPlant,
+    StateSpace,
+)
+
+Array = Any  # a numpy array or a torch tensor
+
+ARRAYS = ("A", "B", "level", "slope", "C", "D", "spool_rate", "coulomb", "arrival")
+FLOW, FORCE, SPOOL_RATE = range(3)  # columns of N: [m] spool, [N] on the table, [m/s] spool; then slips
+
+
+def incidence(stories: int) -> FloatArray:
+    """Return E, (stories, stories): drift of each storey from floor displacements."""
+    return np.eye(stories) - np.eye(stories, k=-1)
+
+
+def specimen_with_slip(plant: CoupledPlant, yielding: Yielding) -> StateSpace:
+    """Return the specimen with slip states: base acceleration and slip rates in, base shear out.
+
+    States ``[x_r, x_r', s]`` (3 stories), inputs ``[base acceleration, s']`` (1 + stories).
+    """
+    specimen = plant.specimen
+    n = specimen.stories
+    inverse_mass = np.diag(1.0 / np.asarray(specimen.masses))
+    relaxed = (1.0 - yielding.stiffness_ratio) * np.asarray(specimen.stiffnesses)
+    A = np.zeros((3 * n, 3 * n))
+    A[:n, n : 2 * n] = np.eye(n)
+    A[n : 2 * n, :n] = -inverse_mass @ specimen.stiffness_matrix
+    A[n : 2 * n, n : 2 * n] = -inverse_mass @ specimen.damping_matrix
+    A[n : 2 * n, 2 * n :] = inverse_mass @ incidence(n).T @ np.diag(relaxed)
+    B = np.zeros((3 * n, 1 + n))
+    B[n : 2 * n, 0] = -1.0
+    B[2 * n :, 1:] = np.eye(n)
+    C = np.zeros((1, 3 * n))
+    C[0, 0], C[0, n], C[0, 2 * n] = specimen.stiffnesses[0], specimen.dampings[0], -relaxed[0]
+    return StateSpace(A, B, C, np.zeros((1, 1 + n)))
+
+
+def controlled_plant(plant: CoupledPlant, parts: Nonlinearity) -> StateSpace:
+    """Return the continuous linear part of the table with inputs for its nonlinear parts.
+
+    States ``[x_A, x_S]``, then ``s`` (stories) if storeys yield, then ``x_v'`` if the valve is of second
+    order. Inputs ``[u, flow, force, spool rate]`` [A, m, N, m/s], then ``s'`` (stories) [m/s]. Outputs
+    ``[y_A, f_s]``, whose D holds the force's part in y_A.
+
+    Raises
+    ------
+    ScenarioError
+        If the equations are not the corrected ones: on the printed ones a nonlinear part has no meaning.
+    """
+    if plant.equations != ModelEquations():
+        raise ScenarioError("equations", plant.equations, "nonlinear parts need the corrected equations")
+    actuator, n = plant.actuator, plant.specimen.stories
+    slips = n if parts.yielding.active else 0
+    second_order = parts.valve.natural_frequency is not None
+    linear = 4 + 2 * n
+    order = linear + slips + second_order
+    A, B = np.zeros((order, order)), np.zeros((order, 4 + slips))
+    C, D = np.zeros((2, order)), np.zeros((2, 4 + slips))
+    driven = plant.driven
+    A[:linear, :linear] = driven.A[:linear, :linear]
+    B[:linear, 0] = driven.B[:linear, 0]
+    C[:, :linear] = driven.C[:2, :linear]
+    # A force on the table enters its acceleration, and through it every storey.
+    push = np.zeros(order)
+    push[TABLE_VELOCITY] = 1.0 / actuator.table_mass
+    push[4 + n : linear] = -1.0 / actuator.table_mass
+    B[LOAD_PRESSURE, 1 + FLOW] = A[LOAD_PRESSURE, SPOOL_POSITION]
+    B[:, 1 + FORCE], D[0, 1 + FORCE] = push, 1.0 / actuator.table_mass
+    B[SPOOL_POSITION, 1 + SPOOL_RATE] = 1.0
+    if slips:
+        building = specimen_with_slip(plant, parts.yielding)
+        slip = slice(linear, linear + n)
+        A[4 + n : linear, slip] = building.A[n : 2 * n, 2 * n :]
+        C[1, slip] = building.C[0, 2 * n :]
+        C[0, slip] = building.C[0, 2 * n :] / actuator.table_mass
+        A[:, slip] += np.outer(push, building.C[0, 2 * n :])
+        B[slip, 4:] = np.eye(n)
+    if second_order:
+        omega = 2.0 * math.pi * (parts.valve.natural_frequency or 0.0)
+        A[SPOOL_POSITION], B[SPOOL_POSITION, 0] = 0.0, 0.0
+        A[SPOOL_POSITION, -1] = 1.0
+        A[-1, SPOOL_POSITION], A[-1, -1] = -(omega**2), -2.0 * parts.valve.damping_ratio * omega
+        B[-1, 0] = omega**2 * actuator.valve_gain
+    return StateSpace(A, B, C, D)
+
+
+def controlled_scale(plant: CoupledPlant, parts: Nonlinearity) -> FloatArray:
+    """Return the size of each state of :func:`controlled_plant`, for the arithmetic only."""
+    scale = plant.state_scale[plant.layout.controlled]
+    n = plant.specimen.stories
+    extra = [scale[4 : 4 + n]] if parts.yielding.active else []
+    if parts.valve.natural_frequency is not None:
+        extra.append(scale[[SPOOL_POSITION]] * 2.0 * math.pi * parts.valve.natural_frequency)
+    return np.concatenate([scale, *extra])
+
+
+def apply(matrix: Array, vector: Array) -> Array:
+    """Return matrix times vector, with one matrix for the batch (m, n) or one a table (..., m, n)."""
+    if matrix.ndim == 2:
+        return vector @ matrix.T
+    return (matrix @ vector[..., None])[..., 0]
+
+
+@dataclass(frozen=True)
+class NonlinearDynamics:
+    """One control period of a table with nonlinear parts, in physics steps.
+
+    Matrices are common to the batch, or carry its leading axes when every table has a plant of its own.
+    """
+
+    parts: Nonlinearity
+    A: Array  # (..., m, m)
+    B: Array  # (..., m, 1) current
+    level: Array  # (..., m, inputs) zero-order hold of g
+    slope: Array  # (..., m, inputs) what the change of g over a step adds
+    C: Array  # (..., 2, m) [y_A, f_s]
+    D: Array  # (..., 2, inputs)
+    spool_rate: Array  # (..., 2) linear spool rate [1/s, m/(A s)] from [x_v, u]; zeros if second order
+    coulomb: Array  # (...) Coulomb friction [N]
+    arrival: Array  # (..., k, commands + 1) which command, oldest first, acts in each physics step
+    stories: int
+    substeps: int
+
+    @classmethod
+    def of(
+        cls,
+        plant: CoupledPlant,
+        parts: Nonlinearity,
+        dt: float,
+        substeps: int,
+        *,
+        delay: int = 0,
+        longest_delay: int = 0,
+    ) -> NonlinearDynamics:
+        """Discretise a plant with nonlinear parts and a loop delay of `delay` physics steps.
+
+        Plants that are to be stacked share a `longest_delay`, so that as many commands are kept.
+        """
+        continuous = controlled_plant(plant, parts)
+        model, slope = first_order_hold(continuous, dt, controlled_scale(plant, parts))
+        level = model.B + slope  # zero-order hold is the sum of the first-order hold's two weights
+        first_order = parts.valve.natural_frequency is None
+        rate = [continuous.A[SPOOL_POSITION, SPOOL_POSITION], continuous.B[SPOOL_POSITION, 0]]
+        return cls(
+            parts=parts,
+            A=model.A,
+            B=level[:, :1],
+            level=level[:, 1:],
+            slope=slope[:, 1:],
+            C=continuous.C,
+            D=continuous.D[:, 1:],
+            spool_rate=np.asarray(rate if first_order else [0.0, 0.0]),
+            coulomb=np.asarray(parts.friction.coulomb),
+            arrival=arrival(delay, substeps, commands_under_way(max(delay, longest_delay), substeps)),
+            stories=plant.specimen.stories,
+            substeps=substeps,
+        )
+
+    @property
+    def states(self) -> int:
+        """Length of the state: m of the plant, and the commands under way."""
+        return int(self.A.shape[-1] + self.arrival.shape[-1] - 1)
+
+    def like(self, array: Array) -> NonlinearDynamics:
+        """Return this update in the library, precision and device of `array`."""
+        return replace(self, **{name: as_like(getattr(self, name), array) for name in ARRAYS})
+
+    def nonlinear(self, state: Array, current: Array) -> Array:
+        """Return g, (..., 3 or 3 + stories): what the linear plant leaves out, in :data:`FLOW` order."""
+        xp = array_api_compat.array_namespace(state)
+        parts = self.parts
+        spool, velocity = state[..., SPOOL_POSITION], state[..., TABLE_VELOCITY]
+        zero = xp.zeros_like(spool)
+        flow = force = rate = zero
+        if parts.valve.flow_active:
+            flow = parts.valve.opening(spool, state[..., LOAD_PRESSURE]) - spool
+        if parts.friction.active:
+            force = parts.friction.force(velocity, self.coulomb)
+        if parts.stops.active:
+            force = force + parts.stops.force(state[..., TABLE_DISPLACEMENT], velocity)
+        if math.isfinite(parts.valve.spool_rate_limit):
+            limit = parts.valve.spool_rate_limit
+            free = self.spool_rate[..., 0] * spool + self.spool_rate[..., 1] * current
+            if parts.valve.natural_frequency is not None:
+                free = state[..., -1]
+            rate = xp.clip(free, -limit, limit) - free
+        columns = xp.stack([flow, force, rate], axis=-1)
+        if not parts.yielding.active:
+            return columns
+        n = self.stories
+        floors = state[..., 4 : 4 + 3 * n]
+        slips = slip_rates(parts.yielding, floors, n)
+        return xp.concat([columns, slips], axis=-1)
+
+    def physics_step(self, state: Array, current: Array, g: Array) -> Array:
+        """Return the state after one physics step; `g` is `nonlinear` at its start."""
+        predicted = apply(self.A, state) + apply(self.B, current[..., None]) + apply(self.level, g)
+        change = self.nonlinear(predicted, current) - g
+        moved = predicted + apply(self.slope, change)
+        if math.isfinite(
+            self.parts.valve.spool_limit
+        ):  # the spool rests on its stop, it does not wind up
+            xp = array_api_compat.array_namespace(state)
+            at = SPOOL_POSITION
+            limited = self.parts.valve.limited(moved[..., at : at + 1])
+            moved = xp.concat([moved[..., :at], limited, moved[..., at + 1 :]], axis=-1)
+        return moved
+
+    def control_step(self, state: Array, current: Array, drive: Array | None = None) -> PeriodResponse:
+        """Advance by one control period.
+
+        Parameters
+        ----------
+        state
+            (..., m + commands) in SI; the last ones are the commands under way [A], oldest first.
+        current
+            (...) command [A], held over a period that begins once the loop's delay has passed.
+        drive
+            None: with the corrected equations the table feels the current only.
+        """
+        xp = array_api_compat.array_namespace(state, current)
+        commands = self.arrival.shape[-1] - 1
+        if commands:
+            queue = xp.concat([state[..., -commands:], current[..., None]], axis=-1)
+            arriving = apply(self.arrival, queue)
+            currents = [arriving[..., j] for j in range(self.substeps)]
+            state = state[..., :-commands]
+        else:
+            currents = [current] * self.substeps
+        outputs = []
+        g = self.nonlinear(state, currents[0])
+        for now, following in zip(currents, currents[1:] + currents[-1:], strict=True):
+            state = self.physics_step(state, now, g)
+            # Of g the outputs see the force only, which does not depend on the current; what is computed
+            # for them also begins the next step.
+            g = self.nonlinear(state, following)
+            outputs.append(apply(self.C, state) + apply(self.D, g))
+        if commands:
+            state = xp.concat([state, queue[..., 1:]], axis=-1)
+        both = xp.stack(outputs, axis=-2)
+        return PeriodResponse(state, both[..., 0], both[..., 1])
+
+
+def commands_under_way(delay: int, substeps: int) -> int:
+    """Return how many earlier commands can still be on their way."""
+    return -(-delay // substeps)
+
+
+def arrival(delay: int, substeps: int, commands: int) -> FloatArray:
+    """Return which command acts in each physics step of a period, (substeps, commands + 1) of 0 and 1.
+
+    Parameters
+    ----------
+    delay
+        Physics steps from the controller's command to the valve.
+    substeps
+        Physics steps per control period.
+    commands
+        Earlier commands kept, oldest first; the present one comes last.
+    """
+    picks = np.zeros((substeps, commands + 1))
+    for j in range(substeps):
+        picks[j, commands + (j - delay) // substeps] = 1.0
+    return picks
+
+
+def slip_rates(yielding: Yielding, floors: Array, stories: int) -> Array:
+    """Return s' (..., stories) from the specimen's ``[x_r, x_r', s]`` (..., 3 stories)."""
+    xp = array_api_compat.array_namespace(floors)
+    n = stories
+    position, velocity, slip = floors[..., :n], floors[..., n : 2 * n], floors[..., 2 * n :]
+    drift = xp.concat([position[..., :1], position[..., 1:] - position[..., :-1]], axis=-1)
+    rate = xp.concat([velocity[..., :1], velocity[..., 1:] - velocity[..., :-1]], axis=-1)
+    return yielding.slip_rate(drift, rate, slip)
