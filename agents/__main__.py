@@ -19,17 +19,20 @@ except ImportError as missing:  # the environment and LQR install without the co
     sys.exit(f"shake: {missing.name} is not installed: pip install 'shake-env[agents]'")
 
 from agents.config import TrainConfig
+from agents.motion_command import Motion, MotionOptions, motion_earthquakes
 from agents.options import ScenarioOptions
+from agents.validate_command import Validate
 
 
 @dataclass(frozen=True, kw_only=True)
 class Compare:
     """Run controllers on the same earthquakes and set their errors side by side.
 
-    Examples:
+    Try:
       shake compare
       shake compare --stories 5 --mass-ratio 0.2 --controllers lqr none
       shake compare --controllers lqr policy runs/mine --noise 100 --output out/mine
+      shake compare --motion CICLC.v1 --noise 0 --no-records
       shake compare --json > comparison.json
     """
 
@@ -42,6 +45,13 @@ class Compare:
     """Whether the six embedded records are among the earthquakes."""
     seed: int = 2_000_000
     """First seed of the filtered noise."""
+    motion: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
+    """File of recorded motion, each channel an earthquake; may be given again for further files."""
+    scale: bool = True
+    """Whether their amplitude is brought within the table, as `shake motion` reports it."""
+    motion_options: Annotated[MotionOptions, tyro.conf.arg(name="motion")] = field(
+        default_factory=MotionOptions
+    )
     output: Path | None = None
     """Folder for JSON, CSV and the figure (default: out/compare; with --json: none)."""
     json: bool = False
@@ -55,6 +65,9 @@ class Compare:
         if self.noise < 0:
             raise ParameterError("noise", self.noise, "must be at least 0")
         scenario = self.scenario.build()
+        motions = motion_earthquakes(
+            self.motion, self.motion_options, scenario, scale=self.scale, console=console
+        )
         with _progress() as progress:
             tasks: dict[str, Any] = {}
 
@@ -69,6 +82,7 @@ class Compare:
                 noise=self.noise,
                 records=self.records,
                 seed=self.seed,
+                motions=motions,
                 on_progress=on_progress,
             )
         settings = _plain(asdict(self))
@@ -84,7 +98,7 @@ class Compare:
 class Design:
     """Design the sampled-data LQR of a specimen and print the fidelity to expect of it.
 
-    Examples:
+    Try:
       shake design
       shake design --stories 4 --mass-ratio 0.3 --control-rate 200 --json
       shake design --acceleration-weight 1 --force-weight 0
@@ -108,7 +122,7 @@ class Design:
 class Reproduce:
     """Write the tables and figures of Gavin and Hoagg (2009): published, as printed, corrected.
 
-    Examples:
+    Try:
       shake reproduce
       shake reproduce --output out/paper
     """
@@ -131,7 +145,7 @@ class Reproduce:
 class Train:
     """Train a policy. An interrupted run goes on exactly with --resume.
 
-    Examples:
+    Try:
       shake train --run runs/mine
       shake train --run runs/five --config.scenario.stories 5 --config.total-steps 6000000
       shake train --run runs/sac --config.algorithm sac
@@ -189,8 +203,10 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
 COMMANDS: dict[str, Callable[..., Any]] = {
     "compare": Compare,
     "design": Design,
+    "motion": Motion,
     "reproduce": Reproduce,
     "train": Train,
+    "validate": Validate,
 }
 
 

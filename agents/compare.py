@@ -42,7 +42,7 @@ class GroupSummary:
     """One controller over one group of earthquakes."""
 
     controller: str
-    group: str  # "filtered noise" or "records"
+    group: str  # "motions", "records" or "filtered noise"
     earthquakes: int
     relative_cost: float  # summed cost over LQR's summed cost on the same earthquakes [-]
     relative_cost_low: float  # 95 % bootstrap interval over earthquakes, paired with LQR's
@@ -130,6 +130,7 @@ def compare(
     noise: int = 32,
     records: bool = True,
     seed: int = 2_000_000,
+    motions: Sequence[Earthquake] = (),
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
 ) -> Comparison:
     """Run every controller on the same earthquakes.
@@ -146,6 +147,8 @@ def compare(
         Whether the embedded records are among the earthquakes.
     seed
         First seed of the noise; far from those of training and its evaluation.
+    motions
+        Further earthquakes, a group of their own; the first of them is traced.
     on_progress
         Told the controller that runs and its share done, 0 to 1.
 
@@ -155,11 +158,16 @@ def compare(
         If no earthquake is asked for.
     """
     recorded = recorded_earthquakes(scenario) if records else []
-    earthquakes = recorded + noise_earthquakes(scenario, noise, seed)
+    earthquakes = [*motions, *recorded, *noise_earthquakes(scenario, noise, seed)]
     if not earthquakes:
         raise ParameterError("noise", noise, "ask for at least one earthquake, or for the records")
-    groups = {"records": range(len(recorded)), "filtered noise": range(len(recorded), len(earthquakes))}
-    traced = _strongest(recorded) if recorded else 0
+    noisy = len(motions) + len(recorded)
+    groups = {
+        "motions": range(len(motions)),
+        "records": range(len(motions), noisy),
+        "filtered noise": range(noisy, len(earthquakes)),
+    }
+    traced = _strongest(recorded) if recorded and not motions else 0
     controllers, skipped = named_controllers(names, scenario)
     episodes: dict[str, list[EpisodeMetrics]] = {}
     traces: dict[str, Trajectory] = {}

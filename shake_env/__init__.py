@@ -11,10 +11,12 @@ from shake_env.env import ShakeTableEnv
 from shake_env.errors import ShakeError
 from shake_env.limits import Limits
 from shake_env.motion import Envelope, FilteredNoise, Motion, RecordedMotion
+from shake_env.nonlinearity import Friction, Nonlinearity, ServoValve, StrokeStops, Yielding
 from shake_env.objective import Objective
 from shake_env.parameters import Actuator, GroundFilter, ModelEquations, Specimen
-from shake_env.records import RECORD_NAMES, Record, load_record
+from shake_env.records import RECORD_NAMES, Record, load_record, read_motion, write_record
 from shake_env.scenario import Scenario, make_scenario
+from shake_env.uncertainty import Uncertainty, Uniform
 from shake_env.vector_env import ShakeTableVectorEnv
 
 register(
@@ -31,19 +33,28 @@ __all__ = [
     "Controller",
     "Envelope",
     "FilteredNoise",
+    "Friction",
     "GroundFilter",
     "Limits",
     "ModelEquations",
     "Motion",
     "NoControl",
+    "Nonlinearity",
     "Objective",
     "Record",
     "RecordedMotion",
     "Scenario",
+    "ServoValve",
     "ShakeError",
     "ShakeTableEnv",
     "ShakeTableVectorEnv",
     "Specimen",
+    "StrokeStops",
+    "Uncertainty",
+    "Uniform",
+    "Yielding",
     "load_record",
     "make_scenario",
+    "read_motion",
+    "write_record",
 ]

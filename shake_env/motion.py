@@ -12,7 +12,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.signal import butter, detrend, firwin, resample_poly, sosfiltfilt
 
 from shake_env.errors import ParameterError
-from shake_env.parameters import FloatArray, require_non_negative, require_positive
+from shake_env.parameters import FloatArray, is_number, require_non_negative, require_positive
 from shake_env.records import Record, load_record
 
 
@@ -56,8 +56,8 @@ class RecordedMotion:
     """A recorded component, prepared for the table.
 
     The record is high-passed (fourth-order Butterworth, forwards and backwards, so without delay),
-    because an uncorrected record integrates to metres of drift; compressed in time, scaled, and
-    resampled band-limited to the physics step.
+    because an uncorrected record integrates to metres of drift; low-passed likewise where asked;
+    compressed in time, scaled, and resampled band-limited to the physics step.
     """
 
     record: str | Record  # name of an embedded record, or a record
@@ -65,6 +65,7 @@ class RecordedMotion:
     time_compression: float = 1.0  # [-] 2 plays the record in half its time
     highpass_frequency: float | None = 0.1  # [Hz] of the record's own time; None leaves it as it is
     duration: float | None = None  # [s] of table time to keep; None keeps all
+    lowpass_frequency: float | None = None  # [Hz] of the record's own time; None leaves it as it is
 
     def __post_init__(self) -> None:
         if not isinstance(self.record, str | Record):
@@ -73,13 +74,7 @@ class RecordedMotion:
         require_non_negative(self, "amplitude")
         if self.duration is not None:
             require_positive(self, "duration")
-        nyquist = 0.5 / self.source.sampling_interval
-        if self.highpass_frequency is not None and not 0.0 < self.highpass_frequency < nyquist:
-            raise ParameterError(
-                "highpass_frequency",
-                self.highpass_frequency,
-                f"must lie in 0 to {nyquist} Hz, or be None",
-            )
+        check_band(self.highpass_frequency, self.lowpass_frequency, self.source.sampling_interval)
 
     @property
     def source(self) -> Record:
@@ -103,18 +98,47 @@ class TargetHistory:
 def target_history(motion: RecordedMotion, physics_step: float) -> TargetHistory:
     """Return the target of a recorded motion at multiples of `physics_step` [s]."""
     record = motion.source
-    acceleration = record.acceleration
-    if motion.highpass_frequency is not None:
-        sections = butter(
-            4, motion.highpass_frequency, "high", fs=1.0 / record.sampling_interval, output="sos"
-        )
-        acceleration = sosfiltfilt(sections, acceleration)
+    acceleration = band_pass(
+        record.acceleration,
+        record.sampling_interval,
+        motion.highpass_frequency,
+        motion.lowpass_frequency,
+    )
     interval = record.sampling_interval / motion.time_compression
     acceleration = motion.amplitude * resample(acceleration, interval, physics_step)
     if motion.duration is not None:
         acceleration = acceleration[: round(motion.duration / physics_step) + 1]
     velocity = _integrate(acceleration, physics_step)
     return TargetHistory(acceleration, velocity, _integrate(velocity, physics_step))
+
+
+def check_band(highpass: float | None, lowpass: float | None, interval: float) -> None:
+    """Raise ParameterError unless ``0 < highpass < lowpass < Nyquist`` [Hz], where given."""
+    nyquist = 0.5 / interval
+    for field, frequency in (("highpass_frequency", highpass), ("lowpass_frequency", lowpass)):
+        if frequency is not None and not (is_number(frequency) and 0.0 < frequency < nyquist):
+            raise ParameterError(field, frequency, f"must lie in 0 to {nyquist} Hz, or be None")
+    if highpass is not None and lowpass is not None and highpass >= lowpass:
+        raise ParameterError(
+            "highpass_frequency", highpass, f"must be below the low-pass at {lowpass} Hz"
+        )
+
+
+def band_pass(
+    values: FloatArray, interval: float, highpass: float | None, lowpass: float | None
+) -> FloatArray:
+    """Return `values` (samples,) between two frequencies [Hz], without delay.
+
+    Fourth-order Butterworth filters, each run forwards and backwards: half the power, twice over, is
+    lost at the frequency itself. None leaves a side open.
+    """
+    check_band(highpass, lowpass, interval)
+    for kind, frequency in (("high", highpass), ("low", lowpass)):
+        if frequency is not None:
+            sections = butter(4, frequency, kind, fs=1.0 / interval, output="sos")
+            # 15 samples are scipy's own choice for this order; a shorter record has fewer.
+            values = sosfiltfilt(sections, values, padlen=min(15, len(values) - 1))
+    return values
 
 
 def _integrate(values: FloatArray, step: float) -> FloatArray:

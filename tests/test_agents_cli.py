@@ -95,9 +95,11 @@ def test_unknown_options_exit_with_2_and_say_so():
     assert "--storeys" in result.stderr
 
 
-@pytest.mark.parametrize("command", ["compare", "design", "reproduce", "train"])
+@pytest.mark.parametrize("command", ["compare", "design", "motion", "reproduce", "train", "validate"])
 def test_help_teaches_by_example(command, capsys):
     with pytest.raises(SystemExit) as exit_info:
         main([command, "--help"])
     assert exit_info.value.code == 0
-    assert f"shake {command}" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "Try:" in out
+    assert out.count(f"shake {command}") >= 3  # the usage line and two examples

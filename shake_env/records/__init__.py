@@ -1,6 +1,7 @@
-"""Six recorded horizontal components that come with the package, with their attribution.
+"""Recorded components: six that come with the package, and readers of the formats that hold others.
 
-Public-domain (CC0) records distributed by CESMD, which asks for attribution: keep it with the data.
+The six are public-domain (CC0) records distributed by CESMD, which asks for attribution: keep it with
+the data.
 """
 
 from __future__ import annotations
@@ -9,7 +10,9 @@ from functools import cache
 from importlib import resources
 
 from shake_env.errors import RecordError, unknown
-from shake_env.records.reader import Record, parse_record
+from shake_env.records.embedded import parse_record, write_record
+from shake_env.records.motion_file import parse_motion, read_motion
+from shake_env.records.record import Record
 
 RECORD_NAMES = (
     "napa2014_68150_hne",
@@ -32,8 +35,15 @@ def load_record(name: str) -> Record:
     """
     if name not in RECORD_NAMES:
         raise unknown(RecordError, "record", name, RECORD_NAMES)
-    text = resources.files(__package__).joinpath(f"{name}.csv").read_text(encoding="utf-8")
-    return parse_record(name, text)
+    return parse_record(name, resources.files(__package__).joinpath(f"{name}.csv").read_bytes())
 
 
-__all__ = ["RECORD_NAMES", "Record", "load_record", "parse_record"]
+__all__ = [
+    "RECORD_NAMES",
+    "Record",
+    "load_record",
+    "parse_motion",
+    "parse_record",
+    "read_motion",
+    "write_record",
+]

@@ -1,0 +1,256 @@
+"""The command ``shake motion``: what a file holds, and what a table needs to repeat it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+import shake_env
+from shake_env.motion import RecordedMotion
+from shake_env.preparation import (
+    RATED_VELOCITY,
+    SOFT_STROKE,
+    TableCapacity,
+    TableFit,
+    fit_amplitude,
+    fit_time,
+    remove_baseline,
+)
+from shake_env.records import Record, read_motion
+from shake_env.rollout import Earthquake
+from shake_env.scenario import Scenario, make_scenario
+
+OFFSET_WORTH_SAYING = 0.05  # of the peak
+
+
+@dataclass(frozen=True)
+class MotionOptions:
+    """How a motion file is read and prepared."""
+
+    units: str | None = None
+    """Unit of a file that states none: g, m/s^2, cm/s^2, gal, mm/s^2; of counts: '4.2e-7 m/s^2'."""
+    sampling_interval: float | None = None
+    """Step of a file that states none [s]."""
+    remove_offset: bool = False
+    """Take the mean off first, as K-NET's counts need."""
+    highpass: float = 0.2
+    """Lower end of the band that the table repeats [Hz]; 0 leaves it open."""
+    lowpass: float = 25.0
+    """Upper end [Hz]; 0 leaves it open, as does a record that is sampled too coarsely for it."""
+    stroke: float = SOFT_STROKE
+    """Displacement that the table has to either side [m]."""
+    velocity: float = RATED_VELOCITY
+    """Velocity that the table has [m/s]."""
+
+    def read(self, path: Path) -> tuple[Record, ...]:
+        """Return the records of a file, in SI."""
+        records = read_motion(path, units=self.units, sampling_interval=self.sampling_interval)
+        return tuple(remove_baseline(r, 0) for r in records) if self.remove_offset else records
+
+    def motion(self, record: Record) -> RecordedMotion:
+        """Return a record's band as a motion, unscaled."""
+        coarse = self.lowpass * record.sampling_interval >= 0.5
+        return RecordedMotion(
+            record=record,
+            highpass_frequency=None if self.highpass == 0.0 else self.highpass,
+            lowpass_frequency=None if self.lowpass == 0.0 or coarse else self.lowpass,
+        )
+
+    def capacity(self, scenario: Scenario) -> TableCapacity:
+        """Return what the scenario's table can do under its specimen."""
+        return TableCapacity.of(
+            scenario.actuator, scenario.specimen, displacement=self.stroke, velocity=self.velocity
+        )
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A channel of a file, described."""
+
+    record: Record
+    by_amplitude: TableFit
+    by_time: TableFit
+
+    def to_json(self) -> dict[str, Any]:
+        """Return its figures as plain values, SI; scales multiply amplitude and time."""
+        from agents.intensity import arias_intensity, significant_duration
+
+        record, amplitude, time = self.record, self.by_amplitude, self.by_time
+        return {
+            "name": record.name,
+            "points": len(record.acceleration),
+            "sampling_interval": record.sampling_interval,
+            "duration": record.duration,
+            "peak_acceleration": float(np.max(np.abs(record.acceleration))),
+            "offset": float(np.mean(record.acceleration)),
+            "arias_intensity": arias_intensity(record),
+            "significant_duration": significant_duration(record),
+            "amplitude_scale": amplitude.factor,
+            "amplitude_governed_by": amplitude.governed_by,
+            "time_scale": time.factor,
+            "time_compression": 1.0 / time.factor,
+            "time_governed_by": time.governed_by,
+            "time_scale_suffices": time.fits,
+            "peaks": asdict(amplitude.before),
+            "peaks_scaled_by_amplitude": asdict(amplitude.after),
+            "peaks_scaled_by_time": asdict(time.after),
+            "attribution": dict(record.attribution),
+        }
+
+
+def channels(path: Path, options: MotionOptions, scenario: Scenario) -> list[Channel]:
+    """Return every channel of a file, with the scales that the scenario's table needs."""
+    capacity = options.capacity(scenario)
+    found = []
+    for record in options.read(path):
+        motion = options.motion(record)
+        step = scenario.physics_step
+        found.append(
+            Channel(
+                record,
+                fit_amplitude(motion, capacity, physics_step=step),
+                fit_time(motion, capacity, physics_step=step),
+            )
+        )
+    return found
+
+
+def motion_earthquakes(
+    paths: Sequence[Path], options: MotionOptions, scenario: Scenario, *, scale: bool, console: Console
+) -> list[Earthquake]:
+    """Return an earthquake for every channel of every file, scaled to the table unless told not to.
+
+    The scale is printed, and multiplies the scenario's own amplitude.
+    """
+    earthquakes: list[Earthquake] = []
+    capacity, amplitude = options.capacity(scenario), scenario.motion.amplitude
+    for path in paths:
+        for record in options.read(path):
+            plain = options.motion(record)
+            fit = fit_amplitude(plain, capacity, physics_step=scenario.physics_step)
+            factor = amplitude * (fit.factor if scale else 1.0)
+            why = f"as recorded; the table needs {fit.factor:.4g}"
+            if scale:
+                fitting = fit.governed_by == "nothing"
+                why = "within the table" if fitting else f"for its {_beyond(fit)} of {fit.governed_by}"
+            console.print(escape(f"motion {record.name}: amplitude x {factor:.4g} ({why})"))
+            motion = RecordedMotion(
+                record=record,
+                amplitude=factor,
+                highpass_frequency=plain.highpass_frequency,
+                lowpass_frequency=plain.lowpass_frequency,
+            )
+            earthquakes.append(Earthquake(record.name, motion))
+    return earthquakes
+
+
+def _beyond(fit: TableFit) -> str:
+    """Return the peak that governs a scale, in the unit of its limit."""
+    before = fit.before
+    return {
+        "displacement": f"{1e3 * before.displacement:.3g} mm",
+        "velocity": f"{before.velocity:.3g} m/s",
+        "force": f"{1e-3 * before.force:.3g} kN",
+        "nothing": "-",
+    }[fit.governed_by]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """Describe every channel of a file of recorded motion, and what scale the table needs for it.
+
+    Reads PEER .AT2, CSMIP/CESMD volume 1 and 2, K-NET and KiK-net, CSV or text in columns; MiniSEED and
+    other binary files where ObsPy is installed.
+
+    Try:
+      shake motion CICLC.v1
+      shake motion mine.csv --units g --highpass 0.1 --output out/mine
+      shake motion AOM0011801241951.NS --remove-offset --json
+    """
+
+    file: tyro.conf.Positional[Path]
+    """The file."""
+    options: Annotated[MotionOptions, tyro.conf.arg(name="")] = field(default_factory=MotionOptions)
+    output: Path | None = None
+    """Folder for the figure (default: out/motion; with --json: none)."""
+    json: bool = False
+    """Print one JSON object on standard output and nothing else there."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Describe, print, draw."""
+        from agents.motion_figure import draw
+
+        scenario = make_scenario("linear")
+        found = channels(self.file, self.options, scenario)
+        described = [channel.to_json() for channel in found]
+        capacity = self.options.capacity(scenario)
+        print_channels(self.file, found, described, capacity, console)
+        folder = self.output or (None if self.json else Path("out/motion"))
+        if folder is not None:
+            for path in draw(found, capacity, folder, self.file.name):
+                console.print(escape(f"wrote {path}"))
+        return {
+            "version": shake_env.__version__,
+            "file": str(self.file),
+            "options": asdict(self.options),
+            "capacity": asdict(capacity),
+            "channels": described,
+        }
+
+
+def print_channels(
+    file: Path,
+    found: Sequence[Channel],
+    described: Sequence[dict[str, Any]],
+    capacity: TableCapacity,
+    console: Console,
+) -> None:
+    """Print what a file holds for a person."""
+    form = dict(found[0].record.attribution).get("format", "embedded format")
+    number = f"{len(found)} channel{'s' if len(found) > 1 else ''}"
+    console.print(escape(f"{file.name}: {form}, {number}"))
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("channel", overflow="fold", min_width=12)
+    figures = ("points", "step\ns", "peak\nm/s²", "Arias\nm/s", "5-95 %\ns")
+    for heading in (*figures, "ampl.\nx", "time\nx", "for its"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for channel, row in zip(found, described, strict=True):
+        reasons = dict.fromkeys((_beyond(channel.by_amplitude), _beyond(channel.by_time)))
+        table.add_row(
+            escape(row["name"].removeprefix(f"{file.stem} ")),
+            str(row["points"]),
+            f"{row['sampling_interval']:.4g}",
+            f"{row['peak_acceleration']:.4g}",
+            f"{row['arias_intensity']:.4g}",
+            f"{row['significant_duration']:.4g}",
+            f"{row['amplitude_scale']:.4g}",
+            f"{row['time_scale']:.4g}" + ("" if row["time_scale_suffices"] else "*"),
+            "\n".join(reasons),
+        )
+    console.print(table)
+    motion = found[0].by_amplitude.motion
+    upper = f"{motion.lowpass_frequency:g}" if motion.lowpass_frequency else "any"
+    console.print(
+        "Peak, Arias intensity and duration: of the samples in the file. Amplitude or time: either "
+        f"factor brings it, in the band of {motion.highpass_frequency or 0.0:g} to {upper} Hz, within "
+        f"{1e3 * capacity.displacement:.3g} mm, {capacity.velocity:.3g} m/s and "
+        f"{1e-3 * capacity.force:.3g} kN on {capacity.moving_mass:.4g} kg; 1 where it fits as it is."
+    )
+    if not all(row["time_scale_suffices"] for row in described):
+        console.print("* No time scale brings the force within the table: scale the amplitude.")
+    for row in described:
+        if abs(row["offset"]) > OFFSET_WORTH_SAYING * row["peak_acceleration"]:
+            console.print(
+                f"{escape(row['name'])}: the mean is {row['offset']:.3g} m/s²; peak and Arias "
+                "intensity contain it, and --remove-offset takes it off.",
+                style="yellow",
+            )

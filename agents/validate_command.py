@@ -1,0 +1,48 @@
+"""The command ``shake validate``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+
+from agents.options import ScenarioOptions
+from shake_env.errors import ParameterError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Validate:
+    """Simulate the closed loop on records and noise, check every range, and reduce it.
+
+    Try:
+      shake validate
+      shake validate --amplitude 0.4 --output out/mine
+      shake validate --stories 10 --noise 0 --json > validation.json
+    """
+
+    scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
+    noise: int = 3
+    """Filtered-noise motions of each kind (as in the paper, and high-passed with an envelope)."""
+    output: Path | None = None
+    """Folder for tables (JSON, CSV, Markdown) and figures (default: out/validation; --json: none)."""
+    json: bool = False
+    """Print one JSON object on standard output and nothing else there."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Validate, and say what is being done."""
+        from agents.validate import validate
+        from agents.validate_output import print_tables
+
+        if self.noise < 0:
+            raise ParameterError("noise", self.noise, "must be at least 0")
+        folder = self.output or (None if self.json else Path("out/validation"))
+        found = validate(
+            self.scenario.build(), folder, progress=Console(stderr=True).print, noise=self.noise
+        )
+        print_tables(found, console)
+        if folder is not None:
+            console.print(f"wrote {folder}")
+        return found

@@ -1,0 +1,54 @@
+"""One recorded component of ground acceleration."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from shake_env.errors import RecordError
+from shake_env.parameters import FloatArray
+
+
+@dataclass(frozen=True)
+class Record:
+    """One recorded component of ground acceleration.
+
+    Raises
+    ------
+    RecordError
+        If there are fewer than two samples, one is not finite, or the interval is not above 0 s.
+    """
+
+    name: str
+    acceleration: FloatArray = field(compare=False, repr=False)  # (points,) [m/s^2], read-only
+    sampling_interval: float  # [s]
+    attribution: tuple[tuple[str, str], ...]  # the header, as (key, text); keep it with the data
+    # Stands for the samples in == and hash: what is computed from a record is cached by the record.
+    digest: bytes = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        acceleration = np.array(self.acceleration, dtype=np.float64)
+        if acceleration.ndim != 1 or len(acceleration) < 2:
+            raise RecordError(
+                f"{self.name}, acceleration shape", acceleration.shape, "must be (points,), 2 at least"
+            )
+        if not np.isfinite(acceleration).all():
+            index = int(np.argmin(np.isfinite(acceleration)))
+            raise RecordError(
+                f"{self.name}, sample {index}", float(acceleration[index]), "must be a finite number"
+            )
+        if not (math.isfinite(self.sampling_interval) and self.sampling_interval > 0.0):
+            raise RecordError(
+                f"{self.name}, sampling_interval_s", self.sampling_interval, "must be above 0 s"
+            )
+        acceleration.flags.writeable = False
+        object.__setattr__(self, "acceleration", acceleration)
+        object.__setattr__(self, "digest", hashlib.sha256(acceleration.tobytes()).digest())
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample [s]."""
+        return (len(self.acceleration) - 1) * self.sampling_interval
