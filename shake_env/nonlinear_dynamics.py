@@ -30,7 +30,7 @@ from shake_env.plant import (
 
 Array = Any  # a numpy array or a torch tensor
 
-ARRAYS = ("A", "B", "level", "slope", "C", "D", "spool_rate", "coulomb", "arrival")
+ARRAYS = ("advance", "slope", "C", "D", "spool_rate", "coulomb", "arrival")
 FLOW, FORCE, SPOOL_RATE = range(3)  # columns of N: [m] spool, [N] on the table, [m/s] spool; then slips
 
 
@@ -135,9 +135,7 @@ class NonlinearDynamics:
     """
 
     parts: Nonlinearity
-    A: Array  # (..., m, m)
-    B: Array  # (..., m, 1) current
-    level: Array  # (..., m, inputs) zero-order hold of g
+    advance: Array  # (..., m, m + 1 + inputs) of [state, current, g], all held: one product a step
     slope: Array  # (..., m, inputs) what the change of g over a step adds
     C: Array  # (..., 2, m) [y_A, f_s]
     D: Array  # (..., 2, inputs)
@@ -169,9 +167,7 @@ class NonlinearDynamics:
         rate = [continuous.A[SPOOL_POSITION, SPOOL_POSITION], continuous.B[SPOOL_POSITION, 0]]
         return cls(
             parts=parts,
-            A=model.A,
-            B=level[:, :1],
-            level=level[:, 1:],
+            advance=np.hstack([model.A, level]),
             slope=slope[:, 1:],
             C=continuous.C,
             D=continuous.D[:, 1:],
@@ -185,7 +181,7 @@ class NonlinearDynamics:
     @property
     def states(self) -> int:
         """Length of the state: m of the plant, and the commands under way."""
-        return int(self.A.shape[-1] + self.arrival.shape[-1] - 1)
+        return int(self.advance.shape[-2] + self.arrival.shape[-1] - 1)
 
     def like(self, array: Array) -> NonlinearDynamics:
         """Return this update in the library, precision and device of `array`."""
@@ -209,7 +205,7 @@ class NonlinearDynamics:
             free = self.spool_rate[..., 0] * spool + self.spool_rate[..., 1] * current
             if parts.valve.natural_frequency is not None:
                 free = state[..., -1]
-            rate = xp.clip(free, -limit, limit) - free
+            rate = free.clip(-limit, limit) - free
         columns = xp.stack([flow, force, rate], axis=-1)
         if not parts.yielding.active:
             return columns
@@ -220,13 +216,13 @@ class NonlinearDynamics:
 
     def physics_step(self, state: Array, current: Array, g: Array) -> Array:
         """Return the state after one physics step; `g` is `nonlinear` at its start."""
-        predicted = apply(self.A, state) + apply(self.B, current[..., None]) + apply(self.level, g)
+        xp = array_api_compat.array_namespace(state)
+        predicted = apply(self.advance, xp.concat([state, current[..., None], g], axis=-1))
         change = self.nonlinear(predicted, current) - g
         moved = predicted + apply(self.slope, change)
         if math.isfinite(
             self.parts.valve.spool_limit
         ):  # the spool rests on its stop, it does not wind up
-            xp = array_api_compat.array_namespace(state)
             at = SPOOL_POSITION
             limited = self.parts.valve.limited(moved[..., at : at + 1])
             moved = xp.concat([moved[..., :at], limited, moved[..., at + 1 :]], axis=-1)

@@ -129,21 +129,20 @@ class ServoValve:
         xp = array_api_compat.array_namespace(spool)
         opening = self.limited(spool)
         if self.dead_band > 0.0:
-            past = xp.clip(xp.abs(opening) - self.dead_band, 0.0, None)
+            past = (xp.abs(opening) - self.dead_band).clip(0.0, None)
             opening = xp.sign(opening) * past
         if math.isfinite(self.supply_pressure):
             available = 1.0 - xp.sign(opening) * pressure / self.supply_pressure
             # The root's slope is infinite where the flow stops; the floor bounds it (and its gradient)
             # at a flow of a thousandth of the valve's.
-            opening = opening * xp.sqrt(xp.clip(available, 1e-6, None))
+            opening = opening * xp.sqrt(available.clip(1e-6, None))
         return opening
 
     def limited(self, spool: Array) -> Array:
         """Return the spool position (...) [m] within its limit."""
         if not math.isfinite(self.spool_limit):
             return spool
-        xp = array_api_compat.array_namespace(spool)
-        return xp.clip(spool, -self.spool_limit, self.spool_limit)
+        return spool.clip(-self.spool_limit, self.spool_limit)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,12 +173,12 @@ class StrokeStops:
     def force(self, displacement: Array, velocity: Array) -> Array:
         """Return the force on the table (...) [N] for its displacement [m] and velocity [m/s]."""
         xp = array_api_compat.array_namespace(displacement)
-        depth = xp.clip(xp.abs(displacement) - self.gap, 0.0, None)
+        depth = (xp.abs(displacement) - self.gap).clip(0.0, None)
         outward = xp.sign(displacement) * velocity
         # Damping grows with depth over a millimetre, so that the force has no step at contact, and the
         # sum is never negative: a stop does not pull.
-        damper = self.damping * outward * xp.clip(depth / 1e-3, 0.0, 1.0)
-        return -xp.sign(displacement) * xp.clip(self.stiffness * depth + damper, 0.0, None)
+        damper = self.damping * outward * (depth / 1e-3).clip(0.0, 1.0)
+        return -xp.sign(displacement) * (self.stiffness * depth + damper).clip(0.0, None)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -73,8 +73,7 @@ class TableModel:
         ground
             The ground over this period.
         """
-        xp = array_api_compat.array_namespace(state, action)
-        current = self.current_limit * xp.clip(action, -1.0, 1.0)
+        current = self.current_limit * action.clip(-1.0, 1.0)
         response = self.dynamics.control_step(state, current, ground.drive)
         cost = self.stage_cost.terms(
             response.table_acceleration,
