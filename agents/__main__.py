@@ -218,7 +218,8 @@ def main(arguments: list[str] | None = None) -> int:
         description="Shake tables under learned and classical control.",
         args=arguments,
     )
-    console = Console(quiet=command.json)
+    # Tables piped into a file or a pager need no narrower a page than a terminal's usual one.
+    console = Console(quiet=command.json, width=None if sys.stdout.isatty() else 100)
     try:
         found = command.run(console)
     except ShakeError as error:

@@ -27,7 +27,7 @@ def print_tables(comparison: Comparison, console: Console) -> None:
         rows = [summary for summary in comparison.summaries if summary.group == group]
         title = f"{group}, {rows[0].earthquakes} earthquakes"
         table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-        table.add_column("controller", overflow="fold", min_width=8)
+        table.add_column("controller", overflow="fold", min_width=10)
         headings = ["cost / LQR [95 %]", "accel. %\nrms  peak", "shear %\nrms  peak", "mA", "m/s", "mm"]
         broken = any(row.broken_limits for row in rows)
         for heading in headings + ["ended"] * broken:

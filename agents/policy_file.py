@@ -95,7 +95,7 @@ class PolicyFile:
             self.observation_size == size,
             "observation size",
             self.observation_size,
-            f"the scenario's is {size}: use the number of storeys the policy was trained with",
+            f"the scenario's is {size}: use the storeys and the ground filter it was trained with",
         )
         trained = self.card.get("control_rate", rate)
         _require(trained == rate, "control rate", trained, f"the scenario's is {rate} Hz")
