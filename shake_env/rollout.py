@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,9 +34,11 @@ def noise_earthquakes(scenario: Scenario, number: int, seed: int = 0) -> list[Ea
 
 
 def recorded_earthquakes(scenario: Scenario) -> list[Earthquake]:
-    """Return the embedded records at the scenario's amplitude."""
-    amplitude = scenario.motion.amplitude
-    return [Earthquake(name, RecordedMotion(record=name, amplitude=amplitude)) for name in RECORD_NAMES]
+    """Return the embedded records, prepared as the scenario's own motion is if that is a record."""
+    motion = scenario.motion
+    if not isinstance(motion, RecordedMotion):
+        motion = RecordedMotion(record=RECORD_NAMES[0], amplitude=motion.amplitude)
+    return [Earthquake(name, replace(motion, record=name)) for name in RECORD_NAMES]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from baselines.lqr import lqr
-from shake_env import Controller, FilteredNoise, Limits, NoControl, RecordedMotion, make_scenario
+from shake_env import (
+    RECORD_NAMES,
+    Controller,
+    FilteredNoise,
+    Limits,
+    NoControl,
+    RecordedMotion,
+    make_scenario,
+)
 from shake_env.env import ShakeTableEnv
 from shake_env.errors import ActionError, ParameterError
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
@@ -231,3 +239,13 @@ def test_no_earthquakes_raise():
 def test_a_controller_that_answers_nonsense_raises():
     with pytest.raises(ActionError, match="finite"):
         rollout(Push(np.nan), make_scenario(), QUAKES[:1])
+
+
+def test_recorded_earthquakes_are_prepared_as_the_scenarios_own_record():
+    plain = recorded_earthquakes(make_scenario("linear", {"amplitude": 0.5}))
+    assert [quake.name for quake in plain] == list(RECORD_NAMES)
+    assert {quake.motion.amplitude for quake in plain} == {0.5}
+    options = {"record": RECORD_NAMES[2], "time_compression": 2.0, "duration": 4.0}
+    pressed = recorded_earthquakes(make_scenario("linear", options))
+    assert [quake.motion.record for quake in pressed] == list(RECORD_NAMES)
+    assert {(quake.motion.time_compression, quake.motion.duration) for quake in pressed} == {(2.0, 4.0)}
