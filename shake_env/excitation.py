@@ -85,9 +85,15 @@ class _Rows:
         return self.ground + self.reference + 2 * self.substeps + self.drive
 
     def period(self, row: FloatArray) -> GroundPeriod:
-        cuts = np.cumsum([self.ground, self.reference, self.substeps, self.substeps])
-        ground, reference, target, shear, drive = np.split(row, cuts, axis=-1)
-        return GroundPeriod(ground, reference, target, shear, drive if self.drive else None)
+        target = self.ground + self.reference
+        shear, drive = target + self.substeps, target + 2 * self.substeps
+        return GroundPeriod(
+            row[..., : self.ground],
+            row[..., self.ground : target],
+            row[..., target:shear],
+            row[..., shear:drive],
+            row[..., drive:] if self.drive else None,
+        )
 
     @classmethod
     def of(cls, discrete: DiscretePlant) -> _Rows:

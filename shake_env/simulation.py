@@ -133,9 +133,11 @@ class Simulation:
     def _observe(self, state: FloatArray, ground: GroundPeriod) -> NDArray[np.float32]:
         scaled = self.model.observe(state, ground)
         # Only the drifting position, or a table that has just diverged, comes near the bound.
-        bounded = np.clip(scaled, -OBSERVATION_BOUND, OBSERVATION_BOUND)
-        finite: NDArray[np.float32] = np.nan_to_num(bounded, copy=False).astype(np.float32)
-        return finite
+        bounded = np.minimum(np.maximum(scaled, -OBSERVATION_BOUND), OBSERVATION_BOUND)
+        if np.isnan(bounded.sum()):
+            bounded = np.nan_to_num(bounded)
+        observation: NDArray[np.float32] = bounded.astype(np.float32)
+        return observation
 
     def snapshot(self) -> dict[str, Any]:
         """Return everything that `restore` needs to go on exactly."""
