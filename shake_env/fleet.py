@@ -17,6 +17,8 @@ from shake_env.parameters import FloatArray
 from shake_env.scenario import Scenario
 from shake_env.transition import TableModel, dynamics_of
 
+DIRECTIONS = 6  # noise draws a physics step in every lane, see _with_directions
+
 
 class Fleet:
     """The drawn plants of N tables, stacked so that one update steps them all.
@@ -114,6 +116,3 @@ def _with_directions(noise_map: FloatArray, scenario: Scenario) -> FloatArray:
     kept = min(DIRECTIONS, draws.shape[-1])
     fitted[:, :, DIRECTIONS - kept :] = draws[:, :, draws.shape[-1] - kept :]
     return np.concatenate([noise_map[:, :exogenous], fitted.reshape(len(noise_map), -1)], axis=1)
-
-
-DIRECTIONS = 6

@@ -2,7 +2,7 @@
 
 ``x' = A x + B u + N g(x)`` with g the nonlinear parts' difference from the linear plant, stepped by the
 exponential Runge-Kutta scheme ETD2RK (Cox and Matthews, J. Comput. Phys. 176, 2002): its weights are
-those of the exact zero- and first-order hold. With g = 0 it is the linear plant to the last bit.
+those of the exact zero- and first-order hold. With g = 0 it is the exact linear step.
 """
 
 from __future__ import annotations

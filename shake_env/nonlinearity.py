@@ -1,9 +1,9 @@
 """What is not linear about a real table: friction, valve, stops, yielding storeys.
 
 Each part is a frozen value that is off by default, and a function, written against the array API, of the
-state alone. A part never replaces a linear term: it is the difference from it, so that switched off, or
-at its limit (no friction, infinite supply pressure, infinite yield force), the plant is the linear one
-to the last bit.
+state alone. A part never replaces a linear term: it is the difference from it. Switched off, or at
+its limit (no friction, infinite supply pressure, far stops), the step is the linear one to the last bit;
+with an infinite yield drift to rounding, for the slips stay in the sums as zeros.
 """
 
 from __future__ import annotations
