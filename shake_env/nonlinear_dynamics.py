@@ -3,13 +3,20 @@
 ``x' = A x + B u + N g(x)`` with g the nonlinear parts' difference from the linear plant, stepped by the
 exponential Runge-Kutta scheme ETD2RK (Cox and Matthews, J. Comput. Phys. 176, 2002): its weights are
 those of the exact zero- and first-order hold. With g = 0 it is the exact linear step.
+
+Written against the array API, for numpy and torch. Where numba is installed, float64 numpy arrays go
+through the same equations compiled (`shake_env.compiled`), equal to rounding; the environment variable
+``SHAKE_ENV_COMPILED=0``, or :data:`COMPILED` set to False, keeps them here.
 """
 
 from __future__ import annotations
 
 import math
+import os
+import warnings
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import array_api_compat
 import numpy as np
@@ -28,7 +35,12 @@ from shake_env.plant import (
     StateSpace,
 )
 
+if TYPE_CHECKING:
+    from shake_env.compiled import CompiledStep
+
 Array = Any  # a numpy array or a torch tensor
+
+COMPILED = os.environ.get("SHAKE_ENV_COMPILED", "1") != "0"  # whether numba is used where it is there
 
 ARRAYS = ("advance", "slope", "C", "D", "spool_rate", "coulomb", "arrival")
 FLOW, FORCE, SPOOL_RATE = range(3)  # columns of N: [m] spool, [N] on the table, [m/s] spool; then slips
@@ -187,6 +199,23 @@ class NonlinearDynamics:
         """Return this update in the library, precision and device of `array`."""
         return replace(self, **{name: as_like(getattr(self, name), array) for name in ARRAYS})
 
+    @cached_property
+    def _compiled(self) -> CompiledStep | None:
+        try:
+            from shake_env.compiled import CompiledStep  # numba is an extra, and half a second to import
+        except ImportError:
+            return None
+        except RuntimeError as problem:  # numba found no folder to keep its work in
+            warnings.warn(
+                f"tables step uncompiled, several times slower: {problem}. Set NUMBA_CACHE_DIR to a "
+                "folder that can be written, or SHAKE_ENV_COMPILED=0",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+            return None
+        matrices = {name: getattr(self, name) for name in ARRAYS}
+        return CompiledStep.of(self.parts, self.stories, matrices)
+
     def nonlinear(self, state: Array, current: Array) -> Array:
         """Return g, (..., 3 or 3 + stories): what the linear plant leaves out, in :data:`FLOW` order."""
         xp = array_api_compat.array_namespace(state)
@@ -240,6 +269,10 @@ class NonlinearDynamics:
         drive
             None: with the corrected equations the table feels the current only.
         """
+        if COMPILED and type(state) is np.ndarray:
+            step = self._compiled
+            if step is not None and step.fits(state, current):
+                return PeriodResponse(*step(state, current))
         xp = array_api_compat.array_namespace(state, current)
         commands = self.arrival.shape[-1] - 1
         if commands:
