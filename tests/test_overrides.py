@@ -149,3 +149,31 @@ def test_a_soft_limit_shows_in_reward_and_info():
 def test_the_mean_motion_of_a_record_keeps_its_own_amplitude():
     motion = RecordedMotion(record=RECORD_NAMES[1], amplitude=0.7)
     assert motion.pick(np.random.default_rng(0)) is motion
+
+
+def test_every_named_scenario_has_its_page():
+    from pathlib import Path
+
+    from shake_env import SCENARIO_NAMES
+
+    folder = Path(__file__).parents[1] / "docs" / "scenarios"
+    pages = {page.stem for page in folder.glob("*.md")} - {"README"}
+    assert pages == set(SCENARIO_NAMES)
+    index = (folder / "README.md").read_text(encoding="utf-8")
+    assert all(f"[`{name}`]({name}.md)" in index for name in SCENARIO_NAMES)
+
+
+def test_scenario_command_prints_every_field(capsys):
+    import json
+
+    from agents.__main__ import main
+
+    assert main(["scenario", "--scenario", "laboratory", "--set", "sensing.preview=0.2", "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["fields"]["nonlinearity.friction.coulomb"] == 150.0
+    assert shown["fields"]["sensing.preview"] == 0.2
+    assert len(shown["observation"]) == 4 + 5 + 40 + 1
+    numbers = (path for path, value in shown["fields"].items() if isinstance(value, float))
+    path = next(p for p in numbers if p.startswith("nonlinearity.friction"))
+    again = make_scenario("laboratory", {"fields": {path: shown["fields"][path]}})
+    assert again == make_scenario("laboratory")
