@@ -21,6 +21,7 @@ except ImportError as missing:  # the environment and LQR install without the co
 from agents.config import TrainConfig
 from agents.motion_command import Motion, MotionOptions, motion_earthquakes
 from agents.options import ScenarioOptions
+from agents.scenario_command import ShowScenario
 from agents.validate_command import Validate
 
 
@@ -205,6 +206,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "design": Design,
     "motion": Motion,
     "reproduce": Reproduce,
+    "scenario": ShowScenario,
     "train": Train,
     "validate": Validate,
 }

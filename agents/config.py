@@ -171,7 +171,9 @@ def read_config(run: Path) -> TrainConfig:
         return TrainConfig(
             **{
                 **values,
-                "scenario": ScenarioOptions(**values["scenario"]),
+                "scenario": ScenarioOptions(
+                    **{**values["scenario"], "set": tuple(values["scenario"].get("set", ()))}
+                ),
                 "ppo": PPOOptions(**values["ppo"]),
                 "sac": SACOptions(**values["sac"]),
                 "hidden": tuple(values["hidden"]),

@@ -16,6 +16,7 @@ from rich.table import Table
 
 import shake_env
 from shake_env.motion import RecordedMotion
+from shake_env.overrides import make_scenario
 from shake_env.preparation import (
     RATED_VELOCITY,
     SOFT_STROKE,
@@ -27,7 +28,7 @@ from shake_env.preparation import (
 )
 from shake_env.records import Record, read_motion
 from shake_env.rollout import Earthquake
-from shake_env.scenario import Scenario, make_scenario
+from shake_env.scenario import Scenario
 
 OFFSET_WORTH_SAYING = 0.05  # of the peak
 

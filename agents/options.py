@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import math
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Any, Literal
 
-from shake_env.scenario import Overrides, Scenario, make_scenario
+import tyro
+
+from shake_env.errors import ScenarioError
+from shake_env.overrides import Overrides, make_scenario
+from shake_env.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -13,7 +19,7 @@ class ScenarioOptions:
     """The scenario, and what to change about it (unset: the scenario's own value)."""
 
     scenario: str = "linear"
-    """Name of the scenario: linear, as-printed."""
+    """Name of the scenario: linear, as-printed, laboratory, unknown-specimen, yielding, records."""
     stories: int | None = None
     """Number of storeys of the specimen."""
     mass_ratio: float | None = None
@@ -44,12 +50,45 @@ class ScenarioOptions:
     """Current of action 1 [A]."""
     limits: Literal["off", "laboratory"] | None = None
     """Limits whose breaking ends an episode."""
+    sensing: Literal["full", "laboratory"] | None = None
+    """What a controller sees: the full state, or a laboratory's signals."""
+    delay: float | None = None
+    """Loop delay [physics steps]."""
+    set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Any other field as PATH=VALUE, in SI: nonlinearity.friction.coulomb=300, sensing.preview=0.2,
+    uncertainty.mass_ratio=[0.1,1]; may be given again."""
 
     def build(self) -> Scenario:
-        """Return the scenario."""
+        """Return the scenario.
+
+        Raises
+        ------
+        ScenarioError
+            If a name, a path or its value is not understood.
+        """
         overrides = {
             field.name: getattr(self, field.name)
             for field in fields(self)
-            if field.name != "scenario" and getattr(self, field.name) is not None
+            if field.name not in ("scenario", "set") and getattr(self, field.name) is not None
         }
+        overrides["fields"] = dict(assignment(text) for text in self.set)
         return make_scenario(self.scenario, Overrides(**overrides))  # type: ignore[typeddict-item]
+
+
+def assignment(text: str) -> tuple[str, Any]:
+    """Return path and value of ``PATH=VALUE``; the value is JSON, or else a word.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no equals sign.
+    """
+    path, separator, value = text.partition("=")
+    if not separator or not path:
+        raise ScenarioError("set", text, "must be PATH=VALUE, such as nonlinearity.friction.coulomb=300")
+    if value.lower() in ("none", "inf"):
+        return path, None if value.lower() == "none" else math.inf
+    try:
+        return path, json.loads(value)
+    except json.JSONDecodeError:
+        return path, value

@@ -90,7 +90,7 @@ class PolicyFile:
 
     def check(self, scenario: Scenario) -> None:
         """Raise PolicyFileError unless the policy was made for this observation and control rate."""
-        size, rate = scenario.plant.layout.order, scenario.control_rate
+        size, rate = scenario.observation.size, scenario.control_rate
         _require(
             self.observation_size == size,
             "observation size",

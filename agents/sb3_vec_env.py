@@ -52,7 +52,7 @@ class ShakeTableVecEnv(VecEnv):
         reward_scale: float = 1.0,
     ) -> None:
         self.scenario = scenario
-        self.base = np.zeros(scenario.plant.layout.order) if base is None else base
+        self.base = np.zeros(scenario.observation.size) if base is None else base
         self.authority = authority
         self.reward_scale = reward_scale
         self.simulation = Simulation(scenario, num_envs)
@@ -61,7 +61,7 @@ class ShakeTableVecEnv(VecEnv):
         self._streams: list[np.random.Generator | None] = [None] * num_envs
         self._action = np.zeros(num_envs)
         self._returns = np.zeros(num_envs)
-        self._observation = np.zeros((num_envs, scenario.plant.layout.order), dtype=np.float32)
+        self._observation = np.zeros((num_envs, scenario.observation.size), dtype=np.float32)
 
     def reset(self) -> NDArray[np.float32]:
         """Start an episode in every lane; seeds given to ``seed`` are used once."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 from shake_env.discretization import DiscretePlant
-from shake_env.errors import NumericalError, ParameterError
+from shake_env.errors import NumericalError, ParameterError, ScenarioError
 from shake_env.objective import StageCost
 from shake_env.parameters import FloatArray
 from shake_env.plant import REFERENCE_CURRENT, CoupledPlant
@@ -43,16 +43,25 @@ class StationaryPerformance:
 
 
 def action_row(scenario: Scenario, gain: FloatArray) -> FloatArray:
-    """Return ``u = -gain @ x`` as a row (n,): fraction of the current limit per observation entry.
+    """Return ``u = -gain @ x`` as a row: fraction of the current limit per observation entry.
+
+    The row has the observation's length; what follows the full state in it gets no weight.
 
     Raises
     ------
     ParameterError
         If the gain has not one entry a state.
+    ScenarioError
+        If the scenario does not show the full state.
     """
+    if not scenario.sensing.full_state:
+        raise ScenarioError(
+            "sensing", scenario.observation.reading_names, "the law needs the full state: use lqg"
+        )
     if gain.shape != (scenario.plant.layout.order,):
         raise ParameterError("gain shape", gain.shape, f"must be ({scenario.plant.layout.order},)")
-    row: FloatArray = -gain * scenario.plant.state_scale / scenario.current_limit
+    row = np.zeros(scenario.observation.size)
+    row[: len(gain)] = -gain * scenario.plant.state_scale / scenario.current_limit
     return row
 
 
@@ -166,7 +175,10 @@ def sampled_lqr(discrete: DiscretePlant, cost: StageCost) -> LQRDesign:
     gain = np.zeros(discrete.layout.order)
     gain[p.kept] = K[0] * REFERENCE_CURRENT / p.scale
     analytic = float(np.einsum("id,ij,jd->", p.N, P, p.N) + np.sum(Z_d**2) / k)
-    performance = stationary_performance(discrete, cost, gain)
+    try:
+        performance = stationary_performance(discrete, cost, gain)
+    except NumericalError as error:  # what the Riccati solver took for stabilising to rounding is not
+        raise NumericalError("Riccati equation", str(error), _NO_SOLUTION) from error
     if not abs(performance.cost - analytic) <= 1e-6 * analytic:
         raise NumericalError(
             "J*", analytic, f"differs from the closed loop's Lyapunov cost {performance.cost!r}"

@@ -1,7 +1,8 @@
 """Shake tables under control: physics, motions and the Gymnasium environment.
 
 Importing this package registers ``ShakeTable-v0``, so that
-``gymnasium.make("shake_env:ShakeTable-v0")`` needs no other line.
+``gymnasium.make("shake_env:ShakeTable-v0")`` needs no other line, and an id for each named scenario,
+such as ``ShakeTable-laboratory-v0``.
 """
 
 from gymnasium.envs.registration import register
@@ -10,25 +11,36 @@ from shake_env.controller import Controller, NoControl
 from shake_env.env import ShakeTableEnv
 from shake_env.errors import ShakeError
 from shake_env.limits import Limits
-from shake_env.motion import Envelope, FilteredNoise, Motion, RecordedMotion
+from shake_env.motion import Envelope, FilteredNoise, Motion, MotionSet, RecordedMotion
+from shake_env.named import NAMED
 from shake_env.nonlinearity import Friction, Nonlinearity, ServoValve, StrokeStops, Yielding
 from shake_env.objective import Objective
+from shake_env.overrides import make_scenario
 from shake_env.parameters import Actuator, GroundFilter, ModelEquations, Specimen
 from shake_env.records import RECORD_NAMES, Record, load_record, read_motion, write_record
-from shake_env.scenario import Scenario, make_scenario
+from shake_env.scenario import Scenario
+from shake_env.sensing import Sensing, Sensor
 from shake_env.uncertainty import Uncertainty, Uniform
 from shake_env.vector_env import ShakeTableVectorEnv
 
-register(
-    id="ShakeTable-v0",
-    entry_point="shake_env.env:ShakeTableEnv",
-    vector_entry_point="shake_env.vector_env:ShakeTableVectorEnv",
-)
+# ShakeTable-v0 takes the scenario as an argument; each named one also has an id of its own.
+_IDS: dict[str, dict[str, str]] = {"ShakeTable-v0": {}} | {
+    f"ShakeTable-{name}-v0": {"scenario": name} for name in NAMED
+}
+for _id, _arguments in _IDS.items():
+    register(
+        id=_id,
+        entry_point="shake_env.env:ShakeTableEnv",
+        vector_entry_point="shake_env.vector_env:ShakeTableVectorEnv",
+        kwargs=_arguments,
+    )
 
 __version__ = "0.1.0"
+SCENARIO_NAMES = tuple(NAMED)
 
 __all__ = [
     "RECORD_NAMES",
+    "SCENARIO_NAMES",
     "Actuator",
     "Controller",
     "Envelope",
@@ -38,12 +50,15 @@ __all__ = [
     "Limits",
     "ModelEquations",
     "Motion",
+    "MotionSet",
     "NoControl",
     "Nonlinearity",
     "Objective",
     "Record",
     "RecordedMotion",
     "Scenario",
+    "Sensing",
+    "Sensor",
     "ServoValve",
     "ShakeError",
     "ShakeTableEnv",

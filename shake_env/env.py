@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from shake_env.errors import ScenarioError
 from shake_env.limits import OBSERVATION_BOUND, REASONS
-from shake_env.motion import FilteredNoise, Motion, RecordedMotion
+from shake_env.motion import Motion
+from shake_env.overrides import Overrides, make_scenario
 from shake_env.parameters import FloatArray
-from shake_env.scenario import Overrides, Scenario, make_scenario
+from shake_env.scenario import Scenario
 from shake_env.simulation import Simulation, StepResult, checked_action, episode_stream
 
 INFO_KEYS = (
@@ -29,6 +30,7 @@ INFO_KEYS = (
     "force_cost",
     "current_cost",
     "limit_cost",
+    "soft_limit_cost",
 )
 
 
@@ -47,8 +49,9 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ## Action
 
     ``Box(-1, 1, (1,), float32)``: valve current as a fraction of ``scenario.current_limit`` (0.125 A
-    in the linear scenario, five times the rated current), held over one control period. What lies
-    outside is clipped. A wrong shape or a value that is not finite raises ``ActionError``.
+    in the linear scenario, five times the rated current; 0.040 A in the laboratory's), held over one
+    control period. What lies outside is clipped. A wrong shape or a value that is not finite raises
+    ``ActionError``.
 
     ## Observation
 
@@ -69,6 +72,13 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     | 6 ... | specimen: displacement of each floor relative to the table, then velocities | m, m/s |
     | 6 + 2 stories ... | reference specimen on real ground, likewise | m, m/s |
 
+    Where the scenario has sensors (``sensing="laboratory"`` or a ``Sensing``), their readings take the
+    place of table, specimen and reference: the ground part is followed by one entry a reading, each over
+    ``scenario.observation.reading_scale``. After that come, where the scenario shows them, the target
+    acceleration at the coming samples of the preview (over its unit-intensity rms), the action of the
+    last period, and the readings and actions of earlier periods. ``scenario.observation`` says where
+    each part lies, and names every entry with its unit.
+
     ## Reward
 
     Minus the stage cost of the control period: the mean over its physics steps, taken after each, of
@@ -76,30 +86,35 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     weights 1, 1 and 0.01 by default; ``objective=Objective.raw(q_1, q_2, r)`` gives the paper's raw
     weights. Breaking a limit costs five times what a motionless table would be expected to pay over the
     rest of the motion, taken at its amplitude or at 1, whichever is more (``limit_cost`` in ``info``),
-    so that ending an episode never pays.
+    so that ending an episode never pays. Coming close to a limit costs where the scenario has soft ones
+    (``soft_limit_cost``).
 
     ## Start and end
 
     Table and specimen start at rest, with the motion at its beginning. ``truncated`` at the end of the
     motion. ``terminated`` when a limit is broken; ``info["broken_limit"]`` names it. In the linear
     scenario limits are off and only divergence (a scaled state outside the observation's bounds) ends
-    an episode; ``limits="laboratory"`` switches on stroke, velocity, pressure and acceleration.
+    an episode; ``limits="laboratory"`` switches on stroke, velocity, pressure and the accelerations of
+    table and specimen (``Limits`` has one on the current, too).
 
     ## Info
 
     After each step, at the end of the control period and in SI: ``table_acceleration``,
     ``target_acceleration`` [m/s^2], ``base_shear``, ``reference_base_shear`` [N], ``current`` [A],
     ``table_displacement`` [m], ``table_velocity`` [m/s], ``load_pressure`` [Pa]; and the cost terms of
-    the period ``acceleration_cost``, ``force_cost``, ``current_cost``, ``limit_cost`` [-].
+    the period ``acceleration_cost``, ``force_cost``, ``current_cost``, ``limit_cost``,
+    ``soft_limit_cost`` [-].
 
     ## Arguments
 
-    ``scenario``: ``"linear"`` (default), ``"as-printed"``, or a ``Scenario``. Any of its parts can be
-    changed by a keyword: ``stories``, ``mass_ratio``, ``storey_frequency``, ``damping_ratio``,
+    ``scenario``: ``"linear"`` (default), ``"as-printed"``, ``"laboratory"``, ``"unknown-specimen"``,
+    ``"yielding"``, ``"records"``, or a ``Scenario``. Any of its parts can be changed by a keyword:
+    ``stories``, ``mass_ratio``, ``storey_frequency``, ``damping_ratio``,
     ``specimen``, ``equations``, ``physics_step``, ``control_rate``, ``acceleration_weight``,
     ``force_weight``, ``current_weight``, ``objective``, ``motion``, ``record``, ``amplitude``,
     ``duration``, ``time_compression``, ``highpass_frequency``, ``current_limit``, ``limits``,
-    ``nonlinearity``, ``delay``, ``uncertainty`` (see ``make_scenario``).
+    ``nonlinearity``, ``delay``, ``uncertainty``, ``sensing``; and any field by its path in ``fields``,
+    as in ``fields={"nonlinearity.friction.coulomb": 300.0}`` (see ``make_scenario``).
     ``reset(options={"motion": ...})`` takes another motion for one episode.
 
     ## Versions
@@ -172,7 +187,7 @@ def refuse_rendering(render_mode: str | None) -> None:
 
 def single_spaces(scenario: Scenario) -> tuple[FloatBox, FloatBox]:
     """Return the observation and action space of one table."""
-    size = (scenario.plant.layout.order,)
+    size = (scenario.observation.size,)
     bound = OBSERVATION_BOUND
     observation: Any = spaces.Box(-bound, bound, size, np.float32)
     action: Any = spaces.Box(-1.0, 1.0, (1,), np.float32)
@@ -191,8 +206,8 @@ def motion_option(options: dict[str, Any] | None) -> Motion | None:
         if name != "motion":
             raise ScenarioError("reset option", name, "known: motion")
     motion = (options or {}).get("motion")
-    if motion is not None and not isinstance(motion, FilteredNoise | RecordedMotion):
-        raise ScenarioError("motion", motion, "must be a FilteredNoise or a RecordedMotion")
+    if motion is not None and not isinstance(motion, Motion):
+        raise ScenarioError("motion", motion, "must be a FilteredNoise, a RecordedMotion or a MotionSet")
     return motion
 
 
@@ -213,5 +228,6 @@ def step_info(result: StepResult) -> dict[str, FloatArray]:
         outcome.cost.force,
         outcome.cost.current,
         result.limit_cost,
+        outcome.soft_cost,
     )
     return dict(zip(INFO_KEYS, values, strict=True))

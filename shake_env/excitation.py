@@ -20,7 +20,13 @@ from numpy.typing import NDArray
 from shake_env.discretization import DiscretePlant
 from shake_env.dynamics import as_like
 from shake_env.errors import ParameterError
-from shake_env.motion import FilteredNoise, Motion, RecordedMotion, TargetHistory, target_history
+from shake_env.motion import (
+    EpisodeMotion,
+    FilteredNoise,
+    RecordedMotion,
+    TargetHistory,
+    target_history,
+)
 from shake_env.nonlinear_dynamics import apply
 from shake_env.nonlinearity import Yielding
 from shake_env.parameters import FloatArray, GroundFilter
@@ -40,20 +46,23 @@ class GroundPeriod:
     target: Array  # (..., k) target acceleration y~ after each physics step [m/s^2]
     reference_shear: Array  # (..., k) reference base shear f~_s after each physics step [N]
     drive: Array | None  # (..., 4 + 2 stories + 2 k) or None, see TableDynamics.control_step
+    preview: Array | None = None  # (..., samples) target acceleration to come [m/s^2], or None
 
     def like(self, array: Array) -> GroundPeriod:
         """Return this period in the library, precision and device of `array`."""
         drive = None if self.drive is None else as_like(self.drive, array)
+        preview = None if self.preview is None else as_like(self.preview, array)
         return GroundPeriod(
             as_like(self.ground, array),
             as_like(self.reference, array),
             as_like(self.target, array),
             as_like(self.reference_shear, array),
             drive,
+            preview,
         )
 
 
-def control_steps(motion: Motion, period: float, physics_step: float) -> int:
+def control_steps(motion: EpisodeMotion, period: float, physics_step: float) -> int:
     """Return the number of whole control periods in a motion.
 
     Raises
@@ -84,7 +93,11 @@ class _Rows:
     def width(self) -> int:
         return self.ground + self.reference + 2 * self.substeps + self.drive
 
-    def period(self, row: FloatArray) -> GroundPeriod:
+    @property
+    def target(self) -> slice:
+        return slice(self.ground + self.reference, self.ground + self.reference + self.substeps)
+
+    def period(self, row: FloatArray, preview: FloatArray | None = None) -> GroundPeriod:
         target = self.ground + self.reference
         shear, drive = target + self.substeps, target + 2 * self.substeps
         return GroundPeriod(
@@ -93,6 +106,7 @@ class _Rows:
             row[..., target:shear],
             row[..., shear:drive],
             row[..., drive:] if self.drive else None,
+            preview,
         )
 
     @classmethod
@@ -205,27 +219,43 @@ class Excitation:
         Number of tables N.
     maps
         How the ground of each lane is computed; None: as for `discrete` with a linear specimen.
+    preview
+        Number of target samples to show ahead, and the physics steps between them.
     """
 
-    def __init__(self, discrete: DiscretePlant, lanes: int, maps: GroundMaps | None = None) -> None:
+    def __init__(
+        self,
+        discrete: DiscretePlant,
+        lanes: int,
+        maps: GroundMaps | None = None,
+        preview: tuple[int, int] = (0, 1),
+    ) -> None:
         self._discrete = discrete
+        self._samples, self._spacing = preview
+        # Periods beyond the present one that the preview reaches into.
+        self._ahead = math.ceil(self._samples * self._spacing / discrete.substeps)
+        self._length = BLOCK_STEPS + self._ahead
         self._rows = _Rows.of(discrete)
         self.maps = GroundMaps.of(discrete, Yielding()) if maps is None else maps
         self._exogenous = self._rows.ground + self._rows.reference
         self._draws = self.maps.noise.shape[-1] - self._exogenous
-        self._motions: list[Motion] = [FilteredNoise()] * lanes
+        self._motions: list[EpisodeMotion] = [FilteredNoise()] * lanes
         self._streams: list[np.random.Generator | None] = [None] * lanes
         self._filled = np.zeros(lanes, dtype=int)  # control periods of its motion each lane has filled
         self._tail = np.zeros((lanes, self._exogenous))  # exogenous state at the filled end
         stories = discrete.layout.stories
         self._slipping = np.zeros((lanes, 3 * stories))  # yielding reference at the filled end
         self._last_target = np.zeros(lanes)  # target there
-        self._buffer = np.zeros((BLOCK_STEPS, lanes, self._rows.width))
-        self._noise = np.empty((lanes, BLOCK_STEPS, self._draws))
+        # Two, in turn: the period handed out last stays what it is when the next block is computed.
+        self._buffer, self._spare = np.zeros((2, self._length, lanes, self._rows.width))
+        self._noise = np.empty((lanes, self._length, self._draws))
         self._cursor = 0
 
     def start(
-        self, lanes: Sequence[int], motions: Sequence[Motion], streams: Sequence[np.random.Generator]
+        self,
+        lanes: Sequence[int],
+        motions: Sequence[EpisodeMotion],
+        streams: Sequence[np.random.Generator],
     ) -> GroundPeriod:
         """Begin a motion in each of `lanes`, whose first period is the next one taken.
 
@@ -243,30 +273,50 @@ class Excitation:
                 states = _filter_history(self._discrete.plant.ground, motion, self._discrete.dt)
                 initial[row, : self._rows.ground] = states[0]
                 self._last_target[lane] = history.acceleration[0]
-        if self._cursor < BLOCK_STEPS:
-            self._fill(list(lanes), self._cursor)
-        return self._rows.period(initial)
+        if self._cursor == BLOCK_STEPS:
+            self._wrap(without=lanes)
+        self._fill(list(lanes), self._cursor)
+        return self._rows.period(initial, self._preview(np.asarray(lanes, dtype=int)))
 
     def advance(self) -> GroundPeriod:
         """Return the next control period of every lane, (N, ...); valid until the next call."""
         if self._cursor == BLOCK_STEPS:
-            self._cursor = 0
-            self._fill([lane for lane, stream in enumerate(self._streams) if stream is not None], 0)
+            self._wrap()
         row = self._buffer[self._cursor]
         self._cursor += 1
-        return self._rows.period(row)
+        return self._rows.period(row, self._preview())
+
+    def _wrap(self, without: Sequence[int] = ()) -> None:
+        """Move what is already known to the front of the buffer, and fill the rest."""
+        self._cursor = 0
+        self._buffer, self._spare = self._spare, self._buffer
+        self._buffer[: self._ahead] = self._spare[BLOCK_STEPS:]
+        begun = [lane for lane, stream in enumerate(self._streams) if stream is not None]
+        self._fill([lane for lane in begun if lane not in without], self._ahead)
+
+    def _preview(self, lanes: IntArray | None = None) -> FloatArray | None:
+        """Return the coming target samples (N, samples) of all lanes or some [m/s^2]."""
+        if not self._samples:
+            return None
+        coming = self._buffer[self._cursor : self._cursor + self._ahead, :, self._rows.target]
+        if lanes is not None:
+            coming = coming[:, lanes]
+        steps = coming.swapaxes(0, 1).reshape(coming.shape[1], -1)
+        return steps[:, self._spacing - 1 :: self._spacing][:, : self._samples]
 
     def _fill(self, lanes: list[int], first: int) -> None:
-        """Fill the block from row `first` on for `lanes`."""
+        """Fill the buffer from row `first` on for `lanes`."""
+        if not lanes:
+            return
         recorded = [lane for lane in lanes if isinstance(self._motions[lane], RecordedMotion)]
         noisy = [lane for lane in lanes if not isinstance(self._motions[lane], RecordedMotion)]
         if recorded:
             self._run_records(np.asarray(recorded), first)
         if noisy:
             for lane in noisy:
-                self._draw(lane, BLOCK_STEPS - first)
+                self._draw(lane, self._length - first)
             self._run_filter(np.asarray(noisy), first)
-        self._filled[lanes] += BLOCK_STEPS - first
+        self._filled[lanes] += self._length - first
         if self.maps.yielding is not None:
             self._run_yielding(np.asarray(lanes), first)
 
@@ -286,7 +336,7 @@ class Excitation:
         step_map = self.maps.pick(lanes).noise
         joined = np.empty((len(lanes), self._exogenous + self._draws))
         joined[:, : self._exogenous] = self._tail[pick]
-        for offset, row in enumerate(range(first, BLOCK_STEPS)):
+        for offset, row in enumerate(range(first, self._length)):
             joined[:, self._exogenous :] = self._noise[pick, offset]
             moved = apply(step_map, joined)
             self._buffer[row, pick] = moved
@@ -295,7 +345,7 @@ class Excitation:
 
     def _run_records(self, lanes: IntArray, first: int) -> None:
         k, dt, rows = self._discrete.substeps, self._discrete.dt, self._rows
-        steps = BLOCK_STEPS - first
+        steps = self._length - first
         samples = np.zeros((len(lanes), steps * k + 1))  # past its end a record is at rest: never read
         states = np.zeros((len(lanes), steps, rows.ground))
         for row, lane in enumerate(lanes):
@@ -310,7 +360,7 @@ class Excitation:
         x = self._tail[lanes, rows.ground :]
         reference = slice(rows.ground, self._exogenous)
         target = slice(self._exogenous, self._exogenous + k)
-        for offset, row in enumerate(range(first, BLOCK_STEPS)):
+        for offset, row in enumerate(range(first, self._length)):
             now = samples[:, offset * k : offset * k + k + 1]
             moved = apply(step_map, np.concatenate([x, now], axis=1))
             x = moved[:, : rows.reference]

@@ -15,7 +15,7 @@ from shake_env.nonlinear_dynamics import NonlinearDynamics
 from shake_env.objective import StageCost
 from shake_env.parameters import FloatArray
 from shake_env.scenario import Scenario
-from shake_env.transition import TableModel, dynamics_of
+from shake_env.transition import TableModel, dynamics_of, floors_of
 
 DIRECTIONS = 6  # noise draws a physics step in every lane, see _with_directions
 
@@ -56,11 +56,13 @@ class Fleet:
             name: _repeat(getattr(maps.yielding, name), lanes)
             for name in (reference.ARRAYS if maps.yielding else ())
         }
+        self._floors = None if nominal.floor_rows is None else _repeat(nominal.floor_rows, lanes)
         # The stacks are filled in place: these values see every change.
         self.model = replace(
             nominal,
             dynamics=replace(nominal.dynamics, **self._dynamics),
             stage_cost=StageCost(**self._cost),
+            floor_rows=self._floors,
         )
         stacked = maps.yielding and replace(maps.yielding, **self._reference)
         self.maps = GroundMaps(self._noise, self._record, stacked)
@@ -74,6 +76,8 @@ class Fleet:
             stack[lane] = getattr(dynamics, name)
         for name, column in self._cost.items():
             column[lane] = getattr(true.stage_cost, name)
+        if self._floors is not None:
+            self._floors[lane] = floors_of(true)
         maps = GroundMaps.of(true.discrete, true.nonlinearity.yielding)
         self._noise[lane] = _with_directions(maps.noise, true)
         self._record[lane] = maps.record
@@ -82,12 +86,15 @@ class Fleet:
 
     def snapshot(self) -> dict[str, Any]:
         """Return everything that `restore` needs."""
-        stacks = (self._dynamics, self._cost, self._reference, self._noise, self._record, self.plants)
+        stacks = (
+            self._dynamics, self._cost, self._reference, self._noise, self._record, self._floors,
+            self.plants,
+        )  # fmt: skip
         return {"stacks": copy.deepcopy(stacks)}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Take the plants of a `snapshot`."""
-        dynamics, cost, yielding, noise, record, plants = snapshot["stacks"]
+        dynamics, cost, yielding, noise, record, floors, plants = snapshot["stacks"]
         for ours, theirs in (
             (self._dynamics, dynamics),
             (self._cost, cost),
@@ -96,6 +103,8 @@ class Fleet:
             for name, stack in ours.items():
                 stack[...] = theirs[name]
         self._noise[...], self._record[...] = noise, record
+        if self._floors is not None:
+            self._floors[...] = floors
         self.plants[:] = plants
 
 

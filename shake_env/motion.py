@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 
@@ -50,6 +50,10 @@ class FilteredNoise:
         require_positive(self, "duration")
         require_non_negative(self, "amplitude")
 
+    def pick(self, stream: np.random.Generator) -> FilteredNoise:
+        """Return the motion of an episode: this one; its noise is drawn later."""
+        return self
+
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedMotion:
@@ -81,8 +85,42 @@ class RecordedMotion:
         """The record itself."""
         return load_record(self.record) if isinstance(self.record, str) else self.record
 
+    def pick(self, stream: np.random.Generator) -> RecordedMotion:
+        """Return the motion of an episode: this one."""
+        return self
 
-Motion = FilteredNoise | RecordedMotion
+
+@dataclass(frozen=True)
+class MotionSet:
+    """Several recorded motions, of which each episode draws one.
+
+    Raises
+    ------
+    ParameterError
+        If there is no motion, or the amplitude is negative.
+    """
+
+    motions: tuple[RecordedMotion, ...]
+    amplitude: float = 1.0  # [-] factor on every motion's own
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "motions", tuple(self.motions))
+        if not self.motions or not all(isinstance(m, RecordedMotion) for m in self.motions):
+            raise ParameterError("motions", self.motions, "give at least one RecordedMotion")
+        require_non_negative(self, "amplitude")
+
+    @property
+    def scaled(self) -> tuple[RecordedMotion, ...]:
+        """The motions with the factor applied."""
+        return tuple(replace(m, amplitude=self.amplitude * m.amplitude) for m in self.motions)
+
+    def pick(self, stream: np.random.Generator) -> RecordedMotion:
+        """Return the motion of an episode, drawn from its stream."""
+        return self.scaled[int(stream.integers(len(self.motions)))]
+
+
+EpisodeMotion = FilteredNoise | RecordedMotion
+Motion = EpisodeMotion | MotionSet
 
 
 @dataclass(frozen=True)

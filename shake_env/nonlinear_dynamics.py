@@ -73,6 +73,16 @@ def specimen_with_slip(plant: CoupledPlant, yielding: Yielding) -> StateSpace:
     return StateSpace(A, B, C, np.zeros((1, 1 + n)))
 
 
+def floor_rows(plant: CoupledPlant, yielding: Yielding) -> FloatArray:
+    """Return the map from ``[x_r, x_r']``, with slips ``s`` if storeys yield, to floor accelerations.
+
+    (stories, 2 or 3 stories); absolute accelerations [m/s^2]: a floor feels nothing but its storeys.
+    """
+    n = plant.specimen.stories
+    rows = specimen_with_slip(plant, yielding).A[n : 2 * n]
+    return rows if yielding.active else rows[:, : 2 * n]
+
+
 def controlled_plant(plant: CoupledPlant, parts: Nonlinearity) -> StateSpace:
     """Return the continuous linear part of the table with inputs for its nonlinear parts.
 
@@ -165,8 +175,8 @@ class NonlinearDynamics:
         dt: float,
         substeps: int,
         *,
-        delay: int = 0,
-        longest_delay: int = 0,
+        delay: float = 0.0,
+        longest_delay: float = 0.0,
     ) -> NonlinearDynamics:
         """Discretise a plant with nonlinear parts and a loop delay of `delay` physics steps.
 
@@ -296,26 +306,32 @@ class NonlinearDynamics:
         return PeriodResponse(state, both[..., 0], both[..., 1])
 
 
-def commands_under_way(delay: int, substeps: int) -> int:
+def commands_under_way(delay: float, substeps: int) -> int:
     """Return how many earlier commands can still be on their way."""
-    return -(-delay // substeps)
+    return math.ceil(delay / substeps)
 
 
-def arrival(delay: int, substeps: int, commands: int) -> FloatArray:
-    """Return which command acts in each physics step of a period, (substeps, commands + 1) of 0 and 1.
+def arrival(delay: float, substeps: int, commands: int) -> FloatArray:
+    """Return which command acts in each physics step of a period, (substeps, commands + 1).
+
+    Rows sum to 1. Where a command arrives within a physics step, the step takes the mean current: the
+    valve gets the same charge, and its lag is far longer than the step.
 
     Parameters
     ----------
     delay
-        Physics steps from the controller's command to the valve.
+        Physics steps from the controller's command to the valve; a fraction is allowed.
     substeps
         Physics steps per control period.
     commands
         Earlier commands kept, oldest first; the present one comes last.
     """
+    whole, fraction = math.floor(delay), delay - math.floor(delay)
     picks = np.zeros((substeps, commands + 1))
     for j in range(substeps):
-        picks[j, commands + (j - delay) // substeps] = 1.0
+        picks[j, commands + (j - whole) // substeps] += 1.0 - fraction
+        if fraction:
+            picks[j, commands + (j - whole - 1) // substeps] += fraction
     return picks
 
 

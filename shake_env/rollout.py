@@ -11,8 +11,9 @@ import numpy as np
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError
 from shake_env.limits import REASONS
-from shake_env.motion import FilteredNoise, Motion, RecordedMotion
+from shake_env.motion import FilteredNoise, Motion, MotionSet, RecordedMotion
 from shake_env.parameters import FloatArray
+from shake_env.preparation import TableCapacity, fit_amplitude
 from shake_env.records import RECORD_NAMES
 from shake_env.scenario import Scenario
 from shake_env.simulation import Simulation, StepResult, checked_action
@@ -34,11 +35,25 @@ def noise_earthquakes(scenario: Scenario, number: int, seed: int = 0) -> list[Ea
 
 
 def recorded_earthquakes(scenario: Scenario) -> list[Earthquake]:
-    """Return the embedded records, prepared as the scenario's own motion is if that is a record."""
+    """Return the embedded records, prepared as the scenario's own motion is if that is a record.
+
+    A scenario of several recorded motions gives those. Where the scenario limits the stroke, a record is
+    scaled until the table can repeat it (`preparation.fit_amplitude`); `Earthquake.motion` says by what.
+    """
     motion = scenario.motion
+    if isinstance(motion, MotionSet):
+        return [Earthquake(m.source.name, m) for m in motion.scaled]
+    limited = scenario.limits.table_displacement is not None
     if not isinstance(motion, RecordedMotion):
-        motion = RecordedMotion(record=RECORD_NAMES[0], amplitude=motion.amplitude)
-    return [Earthquake(name, replace(motion, record=name)) for name in RECORD_NAMES]
+        amplitude = 1.0 if limited else motion.amplitude
+        motion = RecordedMotion(record=RECORD_NAMES[0], amplitude=amplitude)
+    motions = [replace(motion, record=name) for name in RECORD_NAMES]
+    if limited:
+        capacity = TableCapacity.of(scenario.actuator, scenario.specimen)
+        motions = [
+            fit_amplitude(m, capacity, physics_step=scenario.physics_step).motion for m in motions
+        ]
+    return [Earthquake(m.source.name, m) for m in motions]
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from shake_env.errors import ActionError
 from shake_env.excitation import Excitation, GroundMaps, GroundPeriod, control_steps
 from shake_env.fleet import Fleet
 from shake_env.limits import OBSERVATION_BOUND
+from shake_env.measurement import SensorMemory, SensorNoise
 from shake_env.motion import Motion
 from shake_env.parameters import FloatArray
 from shake_env.scenario import Scenario
@@ -25,7 +26,7 @@ BoolArray = NDArray[np.bool_]
 class StepResult:
     """One control period of N tables."""
 
-    observation: NDArray[np.float32]  # (N, n) full scaled state after the period, fresh memory
+    observation: NDArray[np.float32]  # (N, n) what the sensing shows after the period, fresh memory
     reward: FloatArray  # (N,) minus stage cost, minus the cost of a broken limit
     terminated: BoolArray  # (N,) a limit was broken
     truncated: BoolArray  # (N,) the motion ended, and no limit was broken
@@ -54,7 +55,10 @@ class Simulation:
             maps = GroundMaps.of(scenario.discrete, scenario.nonlinearity.yielding)
         else:
             self.model, maps = self.fleet.model, self.fleet.maps
-        self.excitation = Excitation(scenario.discrete, lanes, maps)
+        preview = scenario.sensing.preview_steps(scenario.control_period, scenario.physics_step)
+        self.excitation = Excitation(scenario.discrete, lanes, maps, preview)
+        self.noise = SensorNoise(scenario.observation, lanes)
+        self.memory = self.model.measurement.rest(lanes)
         self.state = np.zeros((lanes, self.model.dynamics.states))  # SI, [x_A, x_S] first
         self.step_count = np.zeros(lanes, dtype=int)  # control periods since each lane's start
         self.episode_steps = np.zeros(lanes, dtype=int)
@@ -66,8 +70,8 @@ class Simulation:
 
     @property
     def observation_size(self) -> int:
-        """Length n of the full state."""
-        return self.scenario.plant.layout.order
+        """Length n of an observation."""
+        return self.scenario.observation.size
 
     def start(
         self,
@@ -90,7 +94,8 @@ class Simulation:
         -------
         Observations (len(lanes), n).
         """
-        chosen = [self.scenario.motion] * len(lanes) if motions is None else list(motions)
+        given = [self.scenario.motion] * len(lanes) if motions is None else motions
+        chosen = [motion.pick(stream) for motion, stream in zip(given, streams, strict=True)]
         if self.fleet is not None:
             for lane, stream in zip(lanes, streams, strict=True):
                 self.fleet.draw(lane, stream)
@@ -104,7 +109,28 @@ class Simulation:
         self.episode_steps[index] = [control_steps(m, period, physics_step) for m in chosen]
         # A weak motion lowers what standing still costs, but not what braking a fast table does.
         self._severity[index] = [max(1.0, m.amplitude**2) for m in chosen]
-        return self._observe(self.state[index], ground)
+        return _observation(self._first_look(index, ground, streams))
+
+    def _first_look(
+        self, lanes: NDArray[np.intp], ground: GroundPeriod, streams: Sequence[np.random.Generator]
+    ) -> Any:
+        """Return the first observation (len(lanes), n) of tables at rest."""
+        model, memory = self.model, self.model.measurement.rest(len(lanes))
+        bias, noise = self.noise.start(lanes.tolist(), streams)
+        if self.scenario.sensing.full_state:
+            head = model.full_state(self.state[lanes], ground)
+            shown = model.measurement.observation(head, None, ground.preview, memory)
+        else:
+            memory = replace(memory, bias=bias)
+            signals = np.zeros((len(lanes), self.scenario.observation.readings_count))
+            readings, memory = model.measurement.read(memory, signals, noise, memory.action)
+            shown, memory = model.show(readings, ground, memory)
+        kept = {}
+        for field in fields(SensorMemory):
+            kept[field.name] = getattr(self.memory, field.name).copy()
+            kept[field.name][lanes] = getattr(memory, field.name)
+        self.memory = SensorMemory(**kept)
+        return shown
 
     def step(self, action: FloatArray) -> StepResult:
         """Advance every table by one control period under `action` (N,), finite."""
@@ -120,24 +146,18 @@ class Simulation:
             if self._limit_steps is not None:
                 remaining = np.minimum(remaining, self._limit_steps)
             limit_cost = np.where(terminated, self._limit_rate * self._severity * remaining, 0.0)
+        observation, self.memory = self.model.observe(
+            outcome, ground, action, self.memory, self.noise.advance()
+        )
         return StepResult(
-            self._observe(self.state, ground),
-            -(outcome.cost.total + limit_cost),
+            _observation(observation),
+            -(outcome.cost.total + outcome.soft_cost + limit_cost),
             terminated,
             truncated,
             outcome,
             ground,
             limit_cost,
         )
-
-    def _observe(self, state: FloatArray, ground: GroundPeriod) -> NDArray[np.float32]:
-        scaled = self.model.observe(state, ground)
-        # Only the drifting position, or a table that has just diverged, comes near the bound.
-        bounded = np.minimum(np.maximum(scaled, -OBSERVATION_BOUND), OBSERVATION_BOUND)
-        if np.isnan(bounded.sum()):
-            bounded = np.nan_to_num(bounded)
-        observation: NDArray[np.float32] = bounded.astype(np.float32)
-        return observation
 
     def snapshot(self) -> dict[str, Any]:
         """Return everything that `restore` needs to go on exactly."""
@@ -147,6 +167,8 @@ class Simulation:
             "step_count": self.step_count.copy(),
             "episode_steps": self.episode_steps.copy(),
             "severity": self._severity.copy(),
+            "noise": self.noise.snapshot(),
+            "memory": self.memory,  # frozen, and never changed in place
             "fleet": None if self.fleet is None else self.fleet.snapshot(),
         }
 
@@ -157,8 +179,19 @@ class Simulation:
         self.step_count = snapshot["step_count"].copy()
         self.episode_steps = snapshot["episode_steps"].copy()
         self._severity = snapshot["severity"].copy()
+        self.noise.restore(snapshot["noise"])
+        self.memory = snapshot["memory"]
         if self.fleet is not None:
             self.fleet.restore(snapshot["fleet"])
+
+
+def _observation(scaled: FloatArray) -> NDArray[np.float32]:
+    # Only the drifting position, or a table that has just diverged, comes near the bound.
+    bounded = np.minimum(np.maximum(scaled, -OBSERVATION_BOUND), OBSERVATION_BOUND)
+    if np.isnan(bounded.sum()):
+        bounded = np.nan_to_num(bounded)
+    observation: NDArray[np.float32] = bounded.astype(np.float32)
+    return observation
 
 
 def checked_action(action: ArrayLike, shape: tuple[int, ...]) -> FloatArray:

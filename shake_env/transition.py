@@ -6,7 +6,7 @@ plant on torch tensors.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -15,9 +15,12 @@ import array_api_compat
 from shake_env.dynamics import PeriodResponse, TableDynamics, as_like
 from shake_env.excitation import GroundPeriod
 from shake_env.limits import Limits
-from shake_env.nonlinear_dynamics import NonlinearDynamics
+from shake_env.measurement import Measurement, SensorMemory
+from shake_env.nonlinear_dynamics import NonlinearDynamics, apply, floor_rows
 from shake_env.objective import CostTerms, StageCost
+from shake_env.parameters import FloatArray
 from shake_env.scenario import Scenario
+from shake_env.sensing import FLOOR_ACCELERATIONS
 
 Array = Any  # a numpy array or a torch tensor
 
@@ -29,7 +32,9 @@ class Outcome:
     response: PeriodResponse
     current: Array  # (...) [A]
     cost: CostTerms  # each (...)
+    soft_cost: Array  # (...) what soft limits add
     broken: Array  # (...) 0, or 1 + index in limits.REASONS
+    floors: Array | None  # (..., stories) absolute accelerations [m/s^2]; None where nothing asks
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,8 @@ class TableModel:
     observation_scale: Array  # (n,) SI size of each entry of the full state
     filter_states: int
     controlled: int  # 4 + 2 stories: entries of the state that are the linear plant's
+    floor_rows: Array | None  # (..., stories, 2 or 3 stories) see nonlinear_dynamics.floor_rows
+    measurement: Measurement
 
     @classmethod
     def of(cls, scenario: Scenario) -> TableModel:
@@ -59,6 +66,8 @@ class TableModel:
             as_like(self.observation_scale, array),
             self.filter_states,
             self.controlled,
+            None if self.floor_rows is None else as_like(self.floor_rows, array),
+            self.measurement.like(array),
         )
 
     def transition(self, state: Array, action: Array, ground: GroundPeriod) -> Outcome:
@@ -84,10 +93,18 @@ class TableModel:
         )
         linear = response.state[..., : self.controlled]
         scale = self.observation_scale[self.filter_states : self.filter_states + self.controlled]
-        broken = self.limits.broken(linear / scale, linear, response.table_acceleration)
-        return Outcome(response, current, cost, broken)
+        acceleration = response.table_acceleration
+        floors = None if self.floor_rows is None else self.floors(response.state)
+        broken = self.limits.broken(linear / scale, linear, acceleration, current, floors)
+        soft = self.limits.soft_cost(linear, acceleration, floors)
+        return Outcome(response, current, cost, soft, broken, floors)
 
-    def observe(self, state: Array, ground: GroundPeriod) -> Array:
+    def floors(self, state: Array) -> Array:
+        """Return the absolute accelerations of the floors (..., stories) [m/s^2]."""
+        assert self.floor_rows is not None  # `of` made them where something asks
+        return apply(self.floor_rows, state[..., 4 : 4 + self.floor_rows.shape[-1]])
+
+    def full_state(self, state: Array, ground: GroundPeriod) -> Array:
         """Return the full scaled state (..., n), ``[x_W, x_A, x_S, x~_S]`` over its scale.
 
         What a nonlinear plant adds to the state (slips, the spool's velocity, commands under way) is not
@@ -96,6 +113,49 @@ class TableModel:
         xp = array_api_compat.array_namespace(state)
         full = xp.concat([ground.ground, state[..., : self.controlled], ground.reference], axis=-1)
         return full / self.observation_scale
+
+    def observe(
+        self,
+        outcome: Outcome,
+        ground: GroundPeriod,
+        action: Array,
+        memory: SensorMemory,
+        noise: Array,
+    ) -> tuple[Array, SensorMemory]:
+        """Return what a controller is shown after a period (..., n), and the sensors' memory.
+
+        Parameters
+        ----------
+        outcome, ground
+            Of the period.
+        action
+            (...) of the period.
+        memory
+            The sensors', from the period before.
+        noise
+            (..., s) of the readings, SI.
+        """
+        state, action = outcome.response.state, action.clip(-1.0, 1.0)
+        if self.measurement.layout.sensing.full_state:
+            memory = replace(memory, action=action)
+            head = self.full_state(state, ground)
+            return self.measurement.observation(head, None, ground.preview, memory), memory
+        signals = self.measurement.signals(
+            state,
+            outcome.response.table_acceleration[..., -1],
+            outcome.response.base_shear[..., -1],
+            outcome.floors,
+        )
+        readings, memory = self.measurement.read(memory, signals, noise, action)
+        return self.show(readings, ground, memory)
+
+    def show(
+        self, readings: Array, ground: GroundPeriod, memory: SensorMemory
+    ) -> tuple[Array, SensorMemory]:
+        """Return the observation that holds `readings` (..., s), and the memory that knows of them."""
+        head = ground.ground / self.observation_scale[: self.filter_states]
+        shown = self.measurement.observation(head, readings, ground.preview, memory)
+        return shown, self.measurement.remember(memory, readings)
 
 
 @lru_cache(maxsize=32)
@@ -109,7 +169,17 @@ def _model(scenario: Scenario) -> TableModel:
         scenario.plant.state_scale,
         layout.filter_states,
         layout.controlled.stop - layout.controlled.start,
+        floors_of(scenario),
+        Measurement.of(scenario.observation, scenario.control_period),
     )
+
+
+def floors_of(scenario: Scenario) -> FloatArray | None:
+    """Return the rows of the floors' accelerations, or None where no sensor or limit asks for them."""
+    measured = any(s.signal == FLOOR_ACCELERATIONS for s in scenario.sensing.sensors or ())
+    if not (measured or scenario.limits.sees_floors):
+        return None
+    return floor_rows(scenario.plant, scenario.nonlinearity.yielding)
 
 
 def dynamics_of(scenario: Scenario) -> TableDynamics | NonlinearDynamics:

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from shake_env.env import INFO_KEYS, motion_option, refuse_rendering, single_spaces, step_info
 from shake_env.errors import ParameterError, ScenarioError
 from shake_env.limits import REASONS
+from shake_env.overrides import Overrides, make_scenario
 from shake_env.parameters import FloatArray
-from shake_env.scenario import Overrides, Scenario, make_scenario
+from shake_env.scenario import Scenario
 from shake_env.simulation import BoolArray, Simulation, StepResult, checked_action, episode_stream
 
 

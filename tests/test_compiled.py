@@ -66,7 +66,7 @@ def dynamics_of(parts, stories, substeps, delay, lanes=None):
                 drawn if lanes and parts.friction.active else parts,
                 1e-3,
                 substeps,
-                delay=int(rng.integers(delay + 1)) if lanes else delay,
+                delay=rng.uniform(0.0, delay) if lanes else delay,
                 longest_delay=delay,
             )
         )
@@ -98,7 +98,7 @@ def both(dynamics, state, current):
     parts=PARTS,
     stories=st.integers(1, 6),
     substeps=st.sampled_from([1, 2, 5]),
-    delay=st.sampled_from([0, 1, 2, 7]),
+    delay=st.sampled_from([0, 1, 2.5, 7]),
     lanes=st.sampled_from([None, 1, 3]),
     seed=st.integers(0, 2**32 - 1),
 )

@@ -134,7 +134,7 @@ def test_docstring_is_the_contract_of_info_and_arguments():
     env = ShakeTableEnv(**SHORT)
     assert set(env.reset(seed=0)[1]) == set(INFO_KEYS)
     assert set(env.step(np.zeros(1))[4]) == set(INFO_KEYS)
-    from shake_env.scenario import Overrides
+    from shake_env.overrides import Overrides
 
     section = document.split("## Arguments")[1].split("##")[0]
     words = set(re.findall(r"``(\w+)``", section)) - {"scenario", "Scenario", "make_scenario"}

@@ -347,14 +347,23 @@ def as_control(model, name, inputs, outputs):
     return control.ss(model.A, model.B, model.C, model.D, name=name, inputs=inputs, outputs=outputs)
 
 
+def scaled(model, scale):
+    # Where slycot is installed, python-control's frequency response goes through Hessenberg form without
+    # balancing, and loses every digit on states that span ten decades.
+    return StateSpace(
+        model.A * scale / scale[:, None], model.B / scale[:, None], model.C * scale, model.D
+    )
+
+
 @pytest.mark.parametrize("highpass", [None, 0.5])
 def test_coupled_plant_against_python_controls_interconnection(highpass):
     specimen, equations = random_specimen(3), ModelEquations()
     p = plant(specimen, ground=GroundFilter(highpass_frequency=highpass))
+    table = actuator_plant(TABLE_I, equations)
     joined = control.interconnect(
         [
             as_control(ground_filter(p.ground), "ground", ["w"], ["y"]),
-            as_control(actuator_plant(TABLE_I, equations), "table", ["u", "f"], ["a"]),
+            as_control(scaled(table, p.state_scale[p.layout.actuator]), "table", ["u", "f"], ["a"]),
             as_control(specimen_plant(specimen), "building", ["a"], ["f"]),
             as_control(specimen_plant(specimen), "reference", ["y"], ["f_ref"]),
         ],
@@ -368,8 +377,8 @@ def test_coupled_plant_against_python_controls_interconnection(highpass):
     for output in range(4):
         for source in range(2):
             a, b = found[:, output, source], other[:, output, source]
-            if np.all(b == 0):
-                assert np.all(a == 0)
+            if np.all(a == 0):  # a quiet link; slycot's arithmetic leaves rounding there
+                assert np.max(np.abs(b)) < 1e-9 * np.max(np.abs(other[:, output]))
             else:
                 assert np.max(np.abs(a - b)) < 1e-9 * np.max(np.abs(b))
     # And no quiet link: the current never reaches the target, nor the noise the table.

@@ -85,7 +85,7 @@ def test_single_env_vector_lane_and_torch_agree_over_ten_seconds_and_an_autorese
                 state, torch.as_tensor(actions[t, lane], dtype=torch.float64), ground
             )
             state = outcome.response.state
-            of_torch.append((outcome, model.observe(state, ground)))
+            of_torch.append((outcome, model.full_state(state, ground)))
 
     first = scenario.plant.layout.filter_states
     table = scale[first : first + 4]
@@ -160,7 +160,7 @@ def cost_of_gain(scenario, ground, weights, model, like):
     for period in ground:
         outcome = model.transition(state, -(observation @ weights), period)
         state = outcome.response.state
-        observation = model.observe(state, period)
+        observation = model.full_state(state, period)
         total = total + outcome.cost.total.mean()
     return total / len(ground)
 

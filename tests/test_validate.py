@@ -29,10 +29,11 @@ from baselines.lqr_continuous import continuous_lqr
 from baselines.reduction import balanced_truncation
 from shake_env.excitation import Excitation
 from shake_env.motion import FilteredNoise, RecordedMotion
+from shake_env.overrides import make_scenario
 from shake_env.parameters import Actuator, GroundFilter, ModelEquations, Specimen
 from shake_env.plant import CoupledPlant
 from shake_env.rollout import Earthquake
-from shake_env.scenario import Scenario, make_scenario
+from shake_env.scenario import Scenario
 
 DOC = Path(__file__).parents[1] / "docs" / "validation.md"
 STEP = 1e-3
