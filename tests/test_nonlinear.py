@@ -152,8 +152,8 @@ def test_limit_cases_are_the_linear_plant_to_the_last_bit(name, compiled, monkey
         one, two = linear.control_step(state, current), other.control_step(wide, current)
         state, wide = one.state, two.state
         # Slip states ride along in the same products, so that yielding matches to rounding, not to bits;
-        # rounding of a sum is that of its largest terms. So does every part in the compiled update, whose
-        # sums take four columns at a time: a part that is on moves their grouping.
+        # rounding of a sum is that of its largest terms. So does every part in the compiled update,
+        # whose sums take four columns at a time: a part that is on moves their grouping.
         scaled = state / PLANT.state_scale[PLANT.layout.controlled]
         rounded = compiled or LIMITS[name].yielding.active
         tolerance = 1e-12 * np.max(np.abs(scaled)) if rounded else 0.0
