@@ -220,7 +220,8 @@ def _variance(A: FloatArray, B: FloatArray, row: FloatArray, scale: FloatArray) 
 
 
 def _quadratic(row: FloatArray, matrix: FloatArray) -> Any:
-    return (row[..., None, :] @ matrix @ row[..., :, None])[..., 0, 0]
+    square = (row[..., None, :] @ matrix @ row[..., :, None])[..., 0, 0]
+    return square if square.ndim else float(square)
 
 
 @dataclass(frozen=True)

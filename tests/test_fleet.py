@@ -94,6 +94,7 @@ def test_plants_drawn_at_once_are_those_drawn_one_by_one(yielding, valve):
         for field in ("acceleration", "force", "current"):
             ours[field] = getattr(fleet.model.stage_cost, field)[lane]
             theirs[field] = getattr(true.stage_cost, field)
+            assert isinstance(theirs[field], float)  # one plant's numbers are numbers
         ours["record"], theirs["record"] = fleet.maps.record[lane], maps.record
         if yielding.active:
             for name in reference.ARRAYS:
