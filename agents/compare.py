@@ -17,15 +17,10 @@ from agents.policy_file import load_policy
 from baselines.lqr import lqr
 from shake_env.controller import Controller, NoControl
 from shake_env.errors import ParameterError, PolicyFileError
-from shake_env.rollout import (
-    Earthquake,
-    EpisodeMetrics,
-    Trajectory,
-    noise_earthquakes,
-    recorded_earthquakes,
-    rollout,
-)
+from shake_env.metrics import EpisodeMetrics
+from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
 from shake_env.scenario import Scenario
+from shake_env.trajectory import Trajectory
 
 SHIPPED = "policy"  # name of the policy that comes with the package
 FIGURES = (

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from agents.compare import Comparison, GroupSummary
 from agents.figure_style import BLACK, SERIES, figure_style, new_figure, save_figure
-from shake_env.rollout import EpisodeMetrics
+from shake_env.metrics import EpisodeMetrics
 
 WINDOW = 5.0  # [s] shown of the traced earthquake, about its peak
 
