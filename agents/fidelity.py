@@ -91,9 +91,12 @@ def _oscillators(
 def delay(target: FloatArray, achieved: FloatArray, step: float) -> float:
     """Return how far `achieved` (samples,) lags `target` (samples,) [s].
 
-    The lag of largest cross-correlation within 50 ms, refined by a parabola through its neighbours.
+    The lag of largest cross-correlation within 50 ms, refined by a parabola through its neighbours; NaN
+    for a table that stands still.
     """
     reach = min(round(LONGEST_DELAY / step), (len(target) - 1) // 2)
+    if not np.any(achieved):
+        return float("nan")
     middle = target[reach : len(target) - reach]
     windows = np.lib.stride_tricks.sliding_window_view(achieved, len(middle))
     correlation = windows @ middle
