@@ -82,7 +82,10 @@ class Comparison:
             "settings": settings,
             "summaries": [_plain(asdict(summary)) for summary in self.summaries],
             "episodes": {
-                name: [asdict(m) | asdict(f) for m, f in zip(rows, self.fidelities[name], strict=True)]
+                name: [
+                    _plain(asdict(m) | asdict(f))
+                    for m, f in zip(rows, self.fidelities[name], strict=True)
+                ]
                 for name, rows in self.episodes.items()
             },
             "reference": self.reference,
@@ -285,7 +288,7 @@ def summarise(
 
 
 def _plain(row: dict[str, Any]) -> dict[str, Any]:
-    """Return a row for JSON, which has no NaN: what is not defined (the lag of a still table) is null."""
+    """Return a row for JSON, which has no NaN: what is not defined (a still table's lag) is null."""
     return {key: None if value != value else value for key, value in row.items()}
 
 

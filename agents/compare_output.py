@@ -44,8 +44,8 @@ def print_tables(comparison: Comparison, console: Console) -> None:
         f"Cost: summed over the group, relative to {_label(comparison.reference)}'s on the same "
         "earthquakes; 95 % bootstrap interval over earthquakes. Errors: relative to the target's own "
         "rms and peak, mean over earthquakes. Lag of the table's acceleration; share of "
-        "response-spectrum ordinates more than 10 % off; Arias intensity over the target's. Current, velocity and stroke: "
-        "the largest. us: median time of one decision. Ended: by a broken limit."
+        "response-spectrum ordinates more than 10 % off; Arias intensity over the target's. Current, "
+        "velocity and stroke: the largest. us: median time of one decision. Ended: by a broken limit."
     )
     for left_out in comparison.skipped:
         console.print(f"Left out: {left_out}.", style="yellow")
