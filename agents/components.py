@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from shake_env import make_scenario
 from shake_env.errors import ParameterError
 from shake_env.motion import RecordedMotion, target_history
 from shake_env.nonlinear_dynamics import NonlinearDynamics, specimen_with_slip
@@ -20,7 +21,6 @@ from shake_env.nonlinearity import Friction, Nonlinearity, ServoValve, Yielding
 from shake_env.parameters import FloatArray, require_positive
 from shake_env.plant import LOAD_PRESSURE, TABLE_DISPLACEMENT, TABLE_VELOCITY, CoupledPlant
 from shake_env.reference import YieldingReference
-from shake_env.scenario import make_scenario
 
 SAMPLES = 200  # drift samples from one turning point to the next
 EXPONENTS = (1.0, 4.0, 20.0)  # as soft as the law goes, its default, nearly elastoplastic

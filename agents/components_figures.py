@@ -293,7 +293,7 @@ def valve_figure(bench: Bench, folder: Path) -> list[Path]:
         spool_ax.legend(loc="upper left", fontsize=8.5)
         band = 1e6 * valve.dead_band
         null.axvspan(-band, band, color=GREY, alpha=0.25, linewidth=0)
-        null.set_title(f"(d) about the middle: dead band ±{band:g} µm")
+        null.set_title(f"(d) dead band, ±{band:g} µm")
         handles, labels = unit.get_legend_handles_labels()
         reference = spool_ax.get_lines()[0]
         figure.legend(

@@ -160,7 +160,7 @@ def print_numbers(found: dict[str, Any], console: Console) -> None:
     )
     for t in f["tables"]:
         console.print(
-            f"  {t['coulomb']:.0f} N: {t['energy']:.1f} J a period, peak acceleration "
+            f"  {t['coulomb']:.0f} N: {round(t['energy'], 1) + 0.0:.1f} J a period, peak acceleration "
             f"{t['peak_acceleration']:.2f} m/s^2, of it spike {t['spike']:.2f} m/s^2"
         )
     shares = ", ".join(f"{q['flow_ratio']:.3f} at {q['pressure_ratio']:.2f} P_s" for q in v["flow"])
