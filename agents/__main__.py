@@ -18,6 +18,7 @@ try:
 except ImportError as missing:  # the environment and LQR install without the command line's packages
     sys.exit(f"shake: {missing.name} is not installed: pip install 'shake-env[agents]'")
 
+from agents.components_command import Components
 from agents.config import TrainConfig
 from agents.motion_command import Motion, MotionOptions, motion_earthquakes
 from agents.options import ScenarioOptions
@@ -204,6 +205,7 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
 
 COMMANDS: dict[str, Callable[..., Any]] = {
     "compare": Compare,
+    "components": Components,
     "design": Design,
     "motion": Motion,
     "reproduce": Reproduce,
