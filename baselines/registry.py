@@ -1,8 +1,8 @@
 """Every classical controller by name: how it is made for a scenario, and what of it can be tuned.
 
-A controller is designed on the nominal model alone, and one that a scenario does not suit says so by a
-ScenarioError. Values that `shake tune` has found for a named scenario stand in ``tuned.json`` and are taken
-unless others are given.
+A controller is designed on the nominal model alone; one that a scenario does not suit says so by a
+ScenarioError. Values that `shake tune` has found for a named scenario stand in ``tuned.json`` and are
+taken unless others are given.
 """
 
 from __future__ import annotations
