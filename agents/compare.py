@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -13,19 +14,16 @@ from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
 import shake_env
+from agents.fidelity import Fidelity, fidelity
 from agents.policy_file import load_policy
-from baselines.lqr import lqr
-from shake_env.controller import Controller, NoControl
-from shake_env.errors import ParameterError, PolicyFileError
-from shake_env.rollout import (
-    Earthquake,
-    EpisodeMetrics,
-    Trajectory,
-    noise_earthquakes,
-    recorded_earthquakes,
-    rollout,
-)
+from baselines.registry import BASELINES, make_baseline, reference_name
+from shake_env.controller import Controller
+from shake_env.errors import NumericalError, ParameterError, PolicyFileError, ScenarioError, unknown
+from shake_env.metrics import EpisodeMetrics
+from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
 from shake_env.scenario import Scenario
+from shake_env.simulation import Simulation
+from shake_env.trajectory import Trajectory
 
 SHIPPED = "policy"  # name of the policy that comes with the package
 FIGURES = (
@@ -35,6 +33,7 @@ FIGURES = (
     "base_shear_peak_error",
 )
 PEAKS = ("peak_current", "peak_velocity", "peak_displacement")
+ALL = "all"  # stands for every classical controller that suits the scenario
 
 
 @dataclass(frozen=True)
@@ -44,8 +43,8 @@ class GroupSummary:
     controller: str
     group: str  # "motions", "records" or "filtered noise"
     earthquakes: int
-    relative_cost: float  # summed cost over LQR's summed cost on the same earthquakes [-]
-    relative_cost_low: float  # 95 % bootstrap interval over earthquakes, paired with LQR's
+    relative_cost: float  # summed cost over the reference's summed cost on the same earthquakes [-]
+    relative_cost_low: float  # 95 % bootstrap interval over earthquakes, paired with the reference's
     relative_cost_high: float
     mean_cost: float
     acceleration_rms_error: float  # mean over earthquakes, relative to the target's rms [-]
@@ -56,6 +55,12 @@ class GroupSummary:
     peak_velocity: float  # [m/s]
     peak_displacement: float  # [m]
     broken_limits: int  # episodes that a limit ended
+    delay: float  # means over earthquakes of `fidelity.Fidelity`; [s]
+    spectral_error: float
+    arias_ratio: float
+    drift_ratio: float
+    energy_ratio: float
+    decision_time: float  # [s] median of one decision for one table
 
 
 @dataclass(frozen=True)
@@ -64,7 +69,9 @@ class Comparison:
 
     summaries: list[GroupSummary]
     episodes: dict[str, list[EpisodeMetrics]]  # by controller, in the order of the earthquakes
+    fidelities: dict[str, list[Fidelity]]  # likewise
     traces: dict[str, Trajectory]  # by controller, on `traced`
+    reference: str  # controller that costs are relative to
     traced: str  # name of the earthquake that was traced
     skipped: list[str]  # what was left out, and why
 
@@ -73,8 +80,15 @@ class Comparison:
         return {
             "version": shake_env.__version__,
             "settings": settings,
-            "summaries": [asdict(summary) for summary in self.summaries],
-            "episodes": {name: [asdict(m) for m in rows] for name, rows in self.episodes.items()},
+            "summaries": [_plain(asdict(summary)) for summary in self.summaries],
+            "episodes": {
+                name: [
+                    _plain(asdict(m) | asdict(f))
+                    for m, f in zip(rows, self.fidelities[name], strict=True)
+                ]
+                for name, rows in self.episodes.items()
+            },
+            "reference": self.reference,
             "traced": self.traced,
             "skipped": self.skipped,
         }
@@ -93,21 +107,30 @@ def named_controllers(
     Parameters
     ----------
     names
-        ``lqr``, ``none``, ``policy`` (the shipped one) or paths of policy files and run directories.
-        LQR is always among them: it is what cost is relative to.
+        Names of `baselines.registry`, ``all`` for every one of them that suits the scenario, ``policy``
+        (the shipped one) or paths of policy files and run directories. The reference, which costs are
+        relative to, is always among them.
     scenario
-        What they drive. The shipped policy is left out where it does not fit; a named file raises.
+        What they drive. What ``all`` or ``policy`` stand for is left out where it does not suit; what is
+        named raises.
 
     Raises
     ------
+    ScenarioError
+        If a named controller does not suit the scenario.
     PolicyFileError
         If a named policy cannot be read or does not fit the scenario.
     """
-    controllers: dict[str, Controller] = {"lqr": lqr(scenario)}
+    reference = reference_name(scenario)
+    controllers: dict[str, Controller] = {reference: make_baseline(reference, scenario)}
     skipped = []
     for name in names:
-        if name == "none":
-            controllers["none"] = NoControl()
+        if name == ALL:
+            for each in BASELINES:
+                try:
+                    controllers.setdefault(each, make_baseline(each, scenario))
+                except (ScenarioError, NumericalError) as error:
+                    skipped.append(f"{each} ({error})")
         elif name == SHIPPED:
             policy = load_policy(shipped_policy())
             try:
@@ -115,12 +138,34 @@ def named_controllers(
                 controllers[SHIPPED] = policy
             except PolicyFileError as error:
                 skipped.append(f"the shipped policy ({error})")
-        elif name != "lqr":
+        elif name in BASELINES:
+            if name == "lqr" and name != reference:
+                # A default that names LQR should not stop a scenario that does not show its state.
+                skipped.append(f"lqr (the scenario shows measured signals: {reference} estimates it)")
+                continue
+            controllers.setdefault(name, make_baseline(name, scenario))
+        elif not (Path(name).exists() or "/" in name or "." in name):
+            raise unknown(ScenarioError, "controller", name, [*BASELINES, ALL, SHIPPED])
+        else:
             path = Path(name)
             policy = load_policy(path / "policy.safetensors" if path.is_dir() else path)
             policy.check(scenario)
             controllers[name] = policy
     return controllers, skipped
+
+
+def decision_time(controller: Controller, scenario: Scenario, decisions: int = 200) -> float:
+    """Return the median time [s] of one decision for one table, in its episode."""
+    simulation = Simulation(scenario, 1)
+    observation = simulation.start([0], [np.random.default_rng(0)])
+    memory, start, times = None, np.ones(1, dtype=bool), []
+    for _ in range(min(decisions, int(simulation.episode_steps[0]))):
+        began = time.perf_counter()
+        action, memory = controller.predict(observation[0], memory, start, deterministic=True)
+        times.append(time.perf_counter() - began)
+        start = np.zeros(1, dtype=bool)
+        observation = simulation.step(np.asarray(action, dtype=float)).observation
+    return float(np.median(times))
 
 
 def compare(
@@ -169,37 +214,62 @@ def compare(
     }
     traced = _strongest(recorded) if recorded and not motions else 0
     controllers, skipped = named_controllers(names, scenario)
+    reference = next(iter(controllers))
     episodes: dict[str, list[EpisodeMetrics]] = {}
+    fidelities: dict[str, list[Fidelity]] = {}
+    latency: dict[str, float] = {}
     traces: dict[str, Trajectory] = {}
     for name, controller in controllers.items():
 
         def told(share: float, name: str = name) -> None:
             on_progress(name, share)
 
-        episodes[name], found = rollout(controller, scenario, earthquakes, record=[traced], on_step=told)
+        episodes[name], found = rollout(
+            controller, scenario, earthquakes, record=range(len(earthquakes)), on_step=told
+        )
         traces[name] = found[traced]
+        step, stories = scenario.physics_step, scenario.specimen.stories
+        fidelities[name] = [fidelity(found[i], step, stories) for i in range(len(earthquakes))]
+        latency[name] = decision_time(controller, scenario)
     summaries = [
-        summarise(name, group, [rows[i] for i in members], [episodes["lqr"][i] for i in members])
+        summarise(
+            name,
+            group,
+            [rows[i] for i in members],
+            [episodes[reference][i] for i in members],
+            [fidelities[name][i] for i in members],
+            latency[name],
+        )
         for group, members in groups.items()
         if len(members)
         for name, rows in episodes.items()
     ]
-    return Comparison(summaries, episodes, traces, earthquakes[traced].name, skipped)
+    name = earthquakes[traced].name
+    return Comparison(summaries, episodes, fidelities, traces, reference, name, skipped)
 
 
 def _strongest(recorded: Sequence[Earthquake]) -> int:
     names = [quake.name for quake in recorded]
-    return names.index("ridgecrest2019_clc_360")
+    strongest = "ridgecrest2019_clc_360"
+    return names.index(strongest) if strongest in names else 0
 
 
 def summarise(
-    name: str, group: str, rows: Sequence[EpisodeMetrics], reference: Sequence[EpisodeMetrics]
+    name: str,
+    group: str,
+    rows: Sequence[EpisodeMetrics],
+    reference: Sequence[EpisodeMetrics],
+    repeated: Sequence[Fidelity],
+    latency: float,
 ) -> GroupSummary:
     """Return one controller's figures over a group, its cost relative to `reference`'s, paired."""
     cost = np.asarray([row.cost for row in rows])
     base = np.asarray([row.cost for row in reference])
     low, high = _interval(cost, base)
     means = {figure: float(np.mean([getattr(row, figure) for row in rows])) for figure in FIGURES}
+    measures = {
+        field.name: _mean([getattr(f, field.name) for f in repeated]) for field in fields(Fidelity)
+    }
     peaks = {peak: float(np.max([getattr(row, peak) for row in rows])) for peak in PEAKS}
     return GroupSummary(
         controller=name,
@@ -210,9 +280,21 @@ def summarise(
         relative_cost_high=high,
         mean_cost=float(cost.mean()),
         broken_limits=sum(row.broken_limit is not None for row in rows),
+        decision_time=latency,
+        **measures,
         **means,
         **peaks,
     )
+
+
+def _plain(row: dict[str, Any]) -> dict[str, Any]:
+    """Return a row for JSON, which has no NaN: what is not defined (a still table's lag) is null."""
+    return {key: None if value != value else value for key, value in row.items()}
+
+
+def _mean(values: Sequence[float]) -> float:
+    known = np.asarray(values)[np.isfinite(values)]
+    return float(known.mean()) if len(known) else float("nan")
 
 
 def _ratio(cost: NDArray[np.float64], base: NDArray[np.float64], axis: int = -1) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,9 @@ from rich.console import Console
 from rich.table import Table
 
 from agents.compare import Comparison, GroupSummary
+from agents.fidelity import Fidelity
 from agents.figure_style import BLACK, SERIES, figure_style, new_figure, save_figure
-from shake_env.rollout import EpisodeMetrics
+from shake_env.metrics import EpisodeMetrics
 
 WINDOW = 5.0  # [s] shown of the traced earthquake, about its peak
 
@@ -28,23 +30,28 @@ def print_tables(comparison: Comparison, console: Console) -> None:
         title = f"{group}, {rows[0].earthquakes} earthquakes"
         table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
         table.add_column("controller", overflow="fold", min_width=10)
-        headings = ["cost / LQR [95 %]", "accel. %\nrms  peak", "shear %\nrms  peak", "mA", "m/s", "mm"]
+        headings = [
+            f"cost / {_label(comparison.reference)} [95 %]", "accel. %\nrms  peak", "shear %\nrms  peak",
+            "lag\nms", "spec.\n%", "Arias", "peak\nmA  m/s   mm", "us",
+        ]  # fmt: skip
         broken = any(row.broken_limits for row in rows)
         for heading in headings + ["ended"] * broken:
             table.add_column(heading.replace("[", "\\["), justify="right", no_wrap=True)
         for row in rows:
-            table.add_row(*_cells(row), *[str(row.broken_limits)] * broken)
+            table.add_row(*_cells(row, comparison.reference), *[str(row.broken_limits)] * broken)
         console.print(table)
     console.print(
-        "Cost: summed over the group, relative to LQR's on the same earthquakes; 95 % bootstrap "
-        "interval over earthquakes. Errors: relative to the target's own rms and peak, mean over "
-        "earthquakes. Current, velocity and stroke: the largest. Ended: by a broken limit."
+        f"Cost: summed over the group, relative to {_label(comparison.reference)}'s on the same "
+        "earthquakes; 95 % bootstrap interval over earthquakes. Errors: relative to the target's own "
+        "rms and peak, mean over earthquakes. Lag of the table's acceleration; share of "
+        "response-spectrum ordinates more than 10 % off; Arias intensity over the target's. Current, "
+        "velocity and stroke: the largest. us: median time of one decision. Ended: by a broken limit."
     )
     for left_out in comparison.skipped:
         console.print(f"Left out: {left_out}.", style="yellow")
 
 
-def _cells(row: GroupSummary) -> list[str]:
+def _cells(row: GroupSummary, reference: str) -> list[str]:
     digits = 3 if row.relative_cost_high < 10.0 else 1
     interval = (
         f"{row.relative_cost:.{digits}f} "
@@ -54,12 +61,14 @@ def _cells(row: GroupSummary) -> list[str]:
     shear = f"{100 * row.base_shear_rms_error:.1f} {100 * row.base_shear_peak_error:5.1f}"
     return [
         _label(row.controller),
-        "1" if row.controller == "lqr" else interval,
+        "1" if row.controller == reference else interval,
         acceleration,
         shear,
-        f"{1e3 * row.peak_current:.0f}",
-        f"{row.peak_velocity:.2f}",
-        f"{1e3 * row.peak_displacement:.0f}",
+        f"{1e3 * row.delay:.1f}" if np.isfinite(row.delay) else "-",
+        f"{100 * row.spectral_error:.0f}",
+        f"{row.arias_ratio:.2f}",
+        f"{1e3 * row.peak_current:.0f} {row.peak_velocity:.2f} {1e3 * row.peak_displacement:4.0f}",
+        f"{1e6 * row.decision_time:.0f}",
     ]
 
 
@@ -71,14 +80,19 @@ def write_files(comparison: Comparison, settings: dict[str, Any], folder: Path) 
     paths[0].write_text(text, encoding="utf-8")
     _write_csv(paths[1], [asdict(summary) for summary in comparison.summaries], GroupSummary)
     episodes = [
-        {"controller": name, **asdict(row)} for name, rows in comparison.episodes.items() for row in rows
+        {"controller": name, **asdict(row), **asdict(measures)}
+        for name, rows in comparison.episodes.items()
+        for row, measures in zip(rows, comparison.fidelities[name], strict=True)
     ]
-    _write_csv(paths[2], episodes, EpisodeMetrics, "controller")
+    measured = [field.name for field in fields(Fidelity)]
+    _write_csv(paths[2], episodes, EpisodeMetrics, "controller", last=measured)
     return paths + _draw(comparison, folder)
 
 
-def _write_csv(path: Path, rows: list[dict[str, Any]], kind: type[Any], *first: str) -> None:
-    names = [*first, *(field.name for field in fields(kind))]
+def _write_csv(
+    path: Path, rows: list[dict[str, Any]], kind: type[Any], *first: str, last: Sequence[str] = ()
+) -> None:
+    names = [*first, *(field.name for field in fields(kind)), *last]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, names)
         writer.writeheader()
@@ -121,6 +135,6 @@ def _styles(number: int) -> list[dict[str, Any]]:
 
 
 def _label(name: str) -> str:
-    if name == "lqr":
-        return "LQR"
+    if name in ("lqr", "lqg"):
+        return name.upper()
     return Path(name).name if "/" in name else name

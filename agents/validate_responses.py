@@ -21,12 +21,12 @@ from shake_env.parameters import FloatArray
 from shake_env.plant import LOAD_PRESSURE, SPOOL_POSITION, TABLE_DISPLACEMENT, TABLE_VELOCITY
 from shake_env.rollout import (
     Earthquake,
-    Trajectory,
     noise_earthquakes,
     recorded_earthquakes,
     rollout,
 )
 from shake_env.scenario import Scenario
+from shake_env.trajectory import Trajectory
 
 HIGHPASS = 0.5  # [Hz] of the third group: without it the target's displacement has no bound
 UNKNOWN_SPECIMEN = 1e-3  # mass over table mass of a design that takes the table as empty

@@ -26,6 +26,7 @@ LAYERS = [
     {"transition"},
     {"fleet"},
     {"simulation"},
+    {"metrics", "trajectory"},
     {"rollout", "env", "rendering"},
     {"vector_env"},
 ]

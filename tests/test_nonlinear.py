@@ -19,6 +19,7 @@ from shake_env.nonlinear_dynamics import (
 )
 from shake_env.nonlinearity import Friction, Nonlinearity, ServoValve, StrokeStops, Yielding
 from shake_env.parameters import ModelEquations
+from shake_env.plant import SPOOL_POSITION
 
 PLANT = make_scenario().plant
 PERIOD = 0.005
@@ -215,6 +216,58 @@ def test_yielding_dissipates_and_keeps_its_limit():
     # A full cycle of an elastoplastic loop: 4 z_y (d_max - z_y), less what the rounded knee gives away.
     cycle = lost[-1] - lost[len(lost) // 2 - 1]
     assert cycle == pytest.approx(4 * 0.004 * (0.012 - 0.004), rel=0.06)
+
+
+DISSIPATING = {
+    "friction": Nonlinearity(friction=Friction(coulomb=300.0, static=400.0, viscous=50.0)),
+    "yielding": Nonlinearity(yielding=Yielding(yield_drift=0.004)),
+    "both": Nonlinearity(
+        friction=Friction(coulomb=300.0, static=400.0),
+        yielding=Yielding(yield_drift=0.004, exponent=1.0),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DISSIPATING)
+def test_the_kernel_creates_no_energy_by_friction_or_yielding(name):
+    """Valve shut, tables let go from 32 states: what is stored falls in every physics step."""
+    parts, plant = DISSIPATING[name], make_scenario("linear", {"stories": 3}).plant
+    a, specimen, n = plant.actuator, plant.specimen, 3
+    masses, stiffnesses = np.asarray(specimen.masses), np.asarray(specimen.stiffnesses)
+    dynamics = NonlinearDynamics.of(plant, parts, 1e-3, 1)
+    state = np.zeros((32, dynamics.states))
+    linear = slice(0, 4 + 2 * n)
+    shape = (32, 4 + 2 * n)
+    state[:, linear] = (
+        0.5 * np.random.default_rng(7).normal(size=shape) * plant.state_scale[plant.layout.controlled]
+    )
+    state[:, SPOOL_POSITION] = 0.0
+    # A drift beyond yielding has slipped: |z| above z_y is no state that a storey can be in.
+    limit, elastic = parts.yielding.yield_drift, 1.0
+    if parts.yielding.active:
+        elastic = parts.yielding.stiffness_ratio
+        drift = np.diff(state[:, 4 : 4 + n], prepend=0.0)
+        state[:, 4 + 2 * n :] = drift - drift.clip(-limit, limit)
+    energy, hysteretic, slipped = [], [], 0.0
+    for _ in range(1500):
+        floors, rates = state[:, 4 : 4 + n], state[:, 4 + n : 4 + 2 * n]
+        slip = state[:, 4 + 2 * n :] if parts.yielding.active else np.zeros((32, n))
+        drift = np.diff(floors, prepend=0.0)
+        oil = state[:, 0] ** 2 * a.oil_volume / (8.0 * a.bulk_modulus)
+        moving = 0.5 * a.table_mass * state[:, 2] ** 2
+        moving = moving + 0.5 * (state[:, 2:3] + rates) ** 2 @ masses
+        springs = 0.5 * (elastic * drift**2 + (1.0 - elastic) * (drift - slip) ** 2) @ stiffnesses
+        energy.append(oil + moving + springs)
+        hysteretic.append(np.max(np.abs(drift - slip)))
+        slipped = max(slipped, float(np.max(np.abs(slip))))
+        state = dynamics.control_step(state, np.zeros(32)).state
+    energy = np.asarray(energy)
+    assert np.all(np.diff(energy, axis=0) < 0.0)
+    # More is lost than the linear table's own dampers take.
+    if parts.yielding.active:
+        assert slipped > 2.0 * limit
+        # A step's own error may carry z past z_y, by second order in the step.
+        assert max(hysteretic) < 1.03 * limit
 
 
 def test_oil_flow_curve_is_the_orifice():
