@@ -118,8 +118,8 @@ def observable_states(plant: CoupledPlant) -> IntArray:
 
 
 @dataclass(frozen=True)
-class _ScaledProblem:
-    """The lifted problem on observable, scaled states and a scaled current."""
+class ScaledProblem:
+    """The lifted problem on observable, scaled states and a current in units of REFERENCE_CURRENT."""
 
     F: FloatArray  # (m, m)
     G: FloatArray  # (m, 1)
@@ -131,7 +131,8 @@ class _ScaledProblem:
     scale: FloatArray  # (m,)
 
     @classmethod
-    def of(cls, discrete: DiscretePlant) -> _ScaledProblem:
+    def of(cls, discrete: DiscretePlant) -> ScaledProblem:
+        """Scale the lifted plant; an unobservable position is left out."""
         plant, lifted = discrete.plant, discrete.lifted
         n = plant.layout.order
         kept = observable_states(plant)
@@ -149,6 +150,31 @@ class _ScaledProblem:
         )
 
 
+def riccati(
+    F: FloatArray, G: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return P and K, (m, m) and (inputs, m), of the LQ problem with stage ``x'Qx + 2 x'Su + u'Ru``.
+
+    Raises
+    ------
+    NumericalError
+        If there is no stabilising solution, or it fails its residual check.
+    """
+    try:
+        P = solve_discrete_are(F, G, Q, R, s=S)
+    except (ValueError, np.linalg.LinAlgError) as error:  # scipy raises either
+        raise NumericalError("Riccati equation", str(error), _NO_SOLUTION) from error
+    K: FloatArray = np.linalg.solve(R + G.T @ P @ G, G.T @ P @ F + S.T)
+    residual = F.T @ P @ F - P + Q - (F.T @ P @ G + S) @ K
+    if not np.max(np.abs(residual)) <= 1e-8 * np.max(np.abs(P)):
+        raise NumericalError("Riccati residual", float(np.max(np.abs(residual))), "is too large")
+    # A pole on the unit circle that no current reaches lands on either side of it by rounding.
+    radius = float(np.max(np.abs(np.linalg.eigvals(F - G @ K))))
+    if not radius < 1.0 - 1e-10:
+        raise NumericalError("Riccati equation's closed-loop radius", radius, _NO_SOLUTION)
+    return P, K
+
+
 def sampled_lqr(discrete: DiscretePlant, cost: StageCost) -> LQRDesign:
     """Design the LQR that minimises the stationary expected stage cost.
 
@@ -157,21 +183,14 @@ def sampled_lqr(discrete: DiscretePlant, cost: StageCost) -> LQRDesign:
     NumericalError
         If the Riccati solution fails its residual, stability or cost check.
     """
-    p = _ScaledProblem.of(discrete)
+    p = ScaledProblem.of(discrete)
     k = discrete.substeps
     weights = np.sqrt([cost.acceleration, cost.force])[None, :, None]
     Z_x, Z_u, Z_d = p.Z_x * weights, p.Z_u * weights, p.Z_d * weights
     Q = np.einsum("koi,koj->ij", Z_x, Z_x) / k
     S = np.einsum("koi,koj->ij", Z_x, Z_u) / k
     R = np.einsum("koi,koj->ij", Z_u, Z_u) / k + cost.current * REFERENCE_CURRENT**2
-    try:
-        P = solve_discrete_are(p.F, p.G, Q, R, s=S)
-    except (ValueError, np.linalg.LinAlgError) as error:  # scipy raises either
-        raise NumericalError("Riccati equation", str(error), _NO_SOLUTION) from error
-    K = np.linalg.solve(R + p.G.T @ P @ p.G, p.G.T @ P @ p.F + S.T)
-    residual = p.F.T @ P @ p.F - P + Q - (p.F.T @ P @ p.G + S) @ K
-    if not np.max(np.abs(residual)) <= 1e-8 * np.max(np.abs(P)):
-        raise NumericalError("Riccati residual", float(np.max(np.abs(residual))), "is too large")
+    P, K = riccati(p.F, p.G, Q, R, S)
     gain = np.zeros(discrete.layout.order)
     gain[p.kept] = K[0] * REFERENCE_CURRENT / p.scale
     analytic = float(np.einsum("id,ij,jd->", p.N, P, p.N) + np.sum(Z_d**2) / k)
@@ -205,7 +224,7 @@ def stationary_performance(
         raise ParameterError("gain shape", gain.shape, f"must be ({discrete.layout.order},)")
     if not np.isfinite(gain).all():
         raise ParameterError("gain", gain, "must be finite")
-    p, plant = _ScaledProblem.of(discrete), discrete.plant
+    p, plant = ScaledProblem.of(discrete), discrete.plant
     K = (gain[p.kept] * p.scale / REFERENCE_CURRENT)[None, :]
     closed = p.F - p.G @ K
     radius = float(np.max(np.abs(np.linalg.eigvals(closed))))
