@@ -184,7 +184,7 @@ def _performance(
     future), in it, and after it, where state feedback is all that is left.
     """
     q, m = problem, len(problem.F)
-    draws, dt_steps = q.N.shape[1], q.discrete.substeps
+    draws = q.N.shape[1]
     errors = np.concatenate([q.Z_x, -q.C], axis=2)  # over [x_c, x_e]
     energy = np.zeros(3)  # acceleration, force, current; each summed over physics steps
     if seen is None:
@@ -213,19 +213,9 @@ def _performance(
     row = np.hstack([-q.K, on_state])
     spread = stein_sum(loop, start @ start.T, loop.T)
     energy += _energies(errors + q.Z_u @ row, row, spread)
-    acceleration, shear = energy[:2] / dt_steps
-    current_square = energy[2] * REFERENCE_CURRENT**2
-    plant, cost = q.discrete.plant, q.cost
-    return StationaryPerformance(
-        cost=float(
-            cost.acceleration * acceleration + cost.force * shear + cost.current * current_square
-        ),
-        acceleration_rms=float(np.sqrt(acceleration)),
-        base_shear_rms=float(np.sqrt(shear)),
-        acceleration_rms_ratio=float(np.sqrt(acceleration / plant.target_variance)),
-        base_shear_rms_ratio=float(np.sqrt(shear / plant.reference_shear_variance)),
-        current_rms=float(np.sqrt(current_square)),
-    )
+    acceleration, shear = energy[:2] / q.discrete.substeps
+    current_square = float(energy[2]) * REFERENCE_CURRENT**2
+    return StationaryPerformance.of(q.discrete.plant, q.cost, acceleration, shear, current_square)
 
 
 def _energies(errors: FloatArray, current: FloatArray, spread: FloatArray) -> FloatArray:
