@@ -123,14 +123,17 @@ class IntegralFeedback:
     Parameters
     ----------
     scenario
-        Whose observation it reads (its first n entries) and whose current limit it is scaled by.
+        Whose observation it reads (the full state in it) and whose current limit it is scaled by.
     design
         The law.
     """
 
     def __init__(self, scenario: Scenario, design: IntegralDesign) -> None:
         self._row = action_row(scenario, design.gain)
-        self._error = design.error_row * scenario.plant.state_scale * design.period
+        self._error = np.zeros_like(self._row)
+        self._error[: len(design.error_row)] = (
+            design.error_row * scenario.plant.state_scale * design.period
+        )
         self._integral = -design.integral_gain / scenario.current_limit
 
     def predict(
@@ -140,8 +143,8 @@ class IntegralFeedback:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
-        """Return the action (..., 1) for an observation (..., n or more), and xi (...) [m s]."""
-        x = observation[..., : len(self._row)]
+        """Return the action (..., 1) for an observation (..., size), and xi (...) [m s]."""
+        x = observation
         xi = np.zeros(x.shape[:-1]) if state is None else np.asarray(state[0], dtype=float)
         if episode_start is not None:
             xi = np.where(np.reshape(episode_start, xi.shape), 0.0, xi)

@@ -20,11 +20,12 @@ from scipy.linalg import lstsq
 from baselines.lqr import StationaryPerformance, action_row
 from baselines.tracking import TrackingProblem, stein_sum
 from shake_env.discretization import DiscretePlant
-from shake_env.errors import NumericalError, ParameterError
+from shake_env.errors import NumericalError, ScenarioError
 from shake_env.objective import StageCost
-from shake_env.parameters import FloatArray, is_number
+from shake_env.parameters import FloatArray
 from shake_env.plant import REFERENCE_CURRENT
 from shake_env.scenario import Scenario
+from shake_env.sensing import Sensing
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def preview_lqr(
     discrete, cost
         Plant at its physics step and control rate, and the stage cost to minimise.
     preview
-        [s] ``p = round(preview / spacing)`` samples are seen; 0 gives `sampled_lqr`.
+        [s] ``p = preview / spacing`` samples are seen; 0 gives `sampled_lqr`.
     spacing
         [s] between samples, a whole number of physics steps; None: the control period.
 
@@ -103,13 +104,14 @@ def preview_lqr(
     Raises
     ------
     ParameterError
-        If the preview is negative, or the spacing not a whole number of physics steps.
+        If the spacing is no whole number of physics steps, or the preview none of spacings.
     ScenarioError
         If the target drives the specimen directly, as in the printed equations.
     NumericalError
         If an equation fails its check, or the cost of the law differs from that of its parts.
     """
-    samples, stride = preview_samples(discrete, preview, spacing)
+    shown = Sensing(preview=preview, preview_spacing=spacing)
+    samples, stride = shown.preview_steps(discrete.substeps * discrete.dt, discrete.dt)
     problem = TrackingProblem.of(discrete, cost)
     forecast = Forecast.of(problem, samples, stride)
     rows = problem.future_rows(forecast.periods)
@@ -143,18 +145,16 @@ def clairvoyant(discrete: DiscretePlant, cost: StageCost) -> StationaryPerforman
     return found
 
 
-def preview_samples(discrete: DiscretePlant, preview: float, spacing: float | None) -> tuple[int, int]:
-    """Return the number of previewed samples and the physics steps between them."""
-    period = discrete.substeps * discrete.dt
-    spacing = period if spacing is None else spacing
-    if not (is_number(preview) and 0.0 <= preview < float("inf")):
-        raise ParameterError("preview", preview, "must be a finite time of at least 0 s")
-    stride = round(spacing / discrete.dt) if is_number(spacing) else 0
-    if stride < 1 or abs(stride * discrete.dt - spacing) > 1e-9 * spacing:
-        raise ParameterError(
-            "spacing", spacing, f"must be a whole number of physics steps of {discrete.dt} s"
+def check_preview(scenario: Scenario, samples: int, spacing: float) -> None:
+    """Raise ScenarioError unless the scenario shows `samples` of y~ at `spacing` [s]."""
+    shown = scenario.observation
+    step = shown.preview_spacing * scenario.physics_step
+    if shown.preview_samples != samples or (samples and abs(step - spacing) > 1e-9 * spacing):
+        raise ScenarioError(
+            "sensing",
+            (shown.preview_samples, step),
+            f"must show {samples} samples of the coming target, {spacing:.6g} s apart",
         )
-    return round(preview / (stride * discrete.dt)), stride
 
 
 def _agree(problem: TrackingProblem, simulated: float, analytic: float) -> None:
@@ -231,15 +231,25 @@ class PreviewFeedback:
     Parameters
     ----------
     scenario
-        Whose observation it reads: the full scaled state, then p previewed samples of y~ over the rms
-        of the unit-intensity target; what follows is not read.
+        Whose observation it reads: the full state and the previewed samples. What follows is not read.
     design
-        The law.
+        The law; None: `preview_lqr` for the scenario's own objective and preview.
+
+    Raises
+    ------
+    ScenarioError
+        If the scenario does not show the full state, or another preview than the law's.
     """
 
-    def __init__(self, scenario: Scenario, design: PreviewDesign) -> None:
+    def __init__(self, scenario: Scenario, design: PreviewDesign | None = None) -> None:
+        sensing = scenario.sensing
+        if design is None:
+            spacing = sensing.preview_spacing
+            design = preview_lqr(scenario.discrete, scenario.stage_cost, sensing.preview, spacing)
+        check_preview(scenario, len(design.preview_gain), design.spacing)
+        self._row = action_row(scenario, design.gain)
         size = np.sqrt(scenario.plant.target_variance) / scenario.current_limit
-        self._row = np.concatenate([action_row(scenario, design.gain), design.preview_gain * size])
+        self._row[scenario.observation.preview] = design.preview_gain * size
 
     def predict(
         self,
@@ -248,6 +258,6 @@ class PreviewFeedback:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
-        """Return the action (..., 1) for an observation (..., n + p or more), within [-1, 1]."""
-        action = np.clip(observation[..., : len(self._row)] @ self._row, -1.0, 1.0)
+        """Return the action (..., 1) for an observation (..., size), within [-1, 1]."""
+        action = np.clip(observation @ self._row, -1.0, 1.0)
         return action[..., None].astype(np.float32), None

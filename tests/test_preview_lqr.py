@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from previewing import PreviewedTables, mean_costs
 
 from baselines.lqr import sampled_lqr
 from baselines.preview_lqr import PreviewFeedback, clairvoyant, preview_lqr
 from baselines.tracking import stein_sum
-from shake_env import Actuator, make_scenario
+from shake_env import Actuator, Sensing, make_scenario
 from shake_env.errors import NumericalError, ParameterError, ScenarioError
 from shake_env.plant import REFERENCE_CURRENT
+from shake_env.simulation import Simulation
 
 
 def design(scenario, preview, spacing=None):
@@ -148,21 +148,31 @@ def test_the_clairvoyant_errors_are_those_of_the_fully_informed_previews():
 
 @pytest.mark.parametrize(("preview", "spacing"), [(0.02, None), (0.021, 0.007), (0.03, 0.002)])
 def test_simulated_cost_agrees_with_the_analytic_one(preview, spacing):
-    scenario = make_scenario("linear", {"duration": 18.0})
-    found = design(scenario, preview, spacing)
-    tables = PreviewedTables(scenario, 800, preview, spacing)
+    sensing = Sensing(preview=preview, preview_spacing=spacing)
+    scenario = make_scenario("linear", {"duration": 18.0, "sensing": sensing})
+    found, lanes = design(scenario, preview, spacing), 800
+    controller, simulation = PreviewFeedback(scenario), Simulation(scenario, lanes)
+    seeds = np.random.SeedSequence(2009).spawn(lanes)
+    observation = simulation.start(range(lanes), [np.random.default_rng(s) for s in seeds])
     # The start is forgotten with the loop's slowest pole, 0.73 rad/s: exp(-2 * 0.73 * 6) = 2e-4 of it.
-    costs = mean_costs(PreviewFeedback(scenario, found), tables, steps=3600, warm_up=1200)
+    costs = np.zeros(lanes)
+    for t in range(3600):
+        result = simulation.step(controller.predict(observation)[0][:, 0])
+        observation = result.observation
+        if t >= 1200:
+            costs -= result.reward / 2400
     half_width = 1.96 * np.std(costs, ddof=1) / np.sqrt(len(costs))
     assert 2.0 * half_width < 0.0145 * found.analytic_cost
     assert abs(np.mean(costs) - found.analytic_cost) < half_width
 
 
 def test_the_controller_is_its_design_and_reads_no_further():
-    scenario = make_scenario("linear", {"stories": 5})
+    sensing = Sensing(preview=0.04, preview_spacing=0.008, last_action=True)
+    scenario = make_scenario("linear", {"stories": 5, "sensing": sensing})
     found = design(scenario, 0.04, 0.008)
     controller = PreviewFeedback(scenario, found)
     n, p = scenario.plant.layout.order, 5
+    assert scenario.observation.size == n + p + 1
     assert found.preview_gain.shape == (p,) and found.spacing == pytest.approx(0.008)
     rng = np.random.default_rng(5)
     observation = (0.3 * rng.standard_normal((30, n + p + 1))).astype(np.float32)
@@ -196,3 +206,11 @@ def test_what_cannot_be_designed_says_why():
         design(make_scenario("as-printed"), 0.02)
     with pytest.raises(NumericalError, match="stationary"):
         design(make_scenario("linear", {"damping_ratio": 0.0, "force_weight": 0.0}), 0.02)
+    with pytest.raises(ScenarioError, match="must show 4 samples"):
+        PreviewFeedback(scenario, design(scenario, 0.02))
+    with pytest.raises(ScenarioError, match="must show 10 samples of the coming target"):
+        PreviewFeedback(
+            make_scenario("linear", {"sensing": Sensing(preview=0.05)}), design(scenario, 0.02, 0.002)
+        )
+    with pytest.raises(ScenarioError, match="full state"):
+        PreviewFeedback(make_scenario("linear", {"sensing": "laboratory"}))
