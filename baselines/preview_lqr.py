@@ -82,7 +82,11 @@ class PreviewDesign:
 
 
 def preview_lqr(
-    discrete: DiscretePlant, cost: StageCost, preview: float, spacing: float | None = None
+    discrete: DiscretePlant,
+    cost: StageCost,
+    preview: float,
+    spacing: float | None = None,
+    position: float | None = None,
 ) -> PreviewDesign:
     """Design the LQR that sees `preview` seconds of the coming target.
 
@@ -94,6 +98,9 @@ def preview_lqr(
         [s] ``p = preview / spacing`` samples are seen; 0 gives `sampled_lqr`.
     spacing
         [s] between samples, a whole number of physics steps; None: the control period.
+    position
+        [m] error of the table's place that is worth a motionless table's stage cost; None: no error of
+        place is worth anything, and the table drifts. The design's cost leaves this term out.
 
     Notes
     -----
@@ -112,16 +119,18 @@ def preview_lqr(
     """
     shown = Sensing(preview=preview, preview_spacing=spacing)
     samples, stride = shown.preview_steps(discrete.substeps * discrete.dt, discrete.dt)
-    problem = TrackingProblem.of(discrete, cost)
+    problem = TrackingProblem.of(discrete, cost, position)
     forecast = Forecast.of(problem, samples, stride)
     rows = problem.future_rows(forecast.periods)
     row = rows.reshape(1, -1)
     b = forecast.expectation(row)
     # Row j: what the law of j periods earlier knows of v through a period's draws.
     seen = (b @ forecast.N_y).reshape(rows.shape)
-    analytic = _floor(problem) + problem.R_u * (problem.unseen - float(np.sum(seen**2)))
     performance = _performance(problem, problem.L, seen)
-    _agree(problem, performance.cost, analytic)
+    analytic = performance.cost
+    if position is None:  # what completing the square says contains the position's term, too
+        analytic = _floor(problem) + problem.R_u * (problem.unseen - float(np.sum(seen**2)))
+        _agree(problem, performance.cost, analytic)
     gain = np.zeros(discrete.layout.order)
     scale = discrete.plant.state_scale
     gain[problem.kept] = problem.K[0] * REFERENCE_CURRENT / scale[problem.kept]

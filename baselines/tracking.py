@@ -23,8 +23,9 @@ from shake_env.discretization import DiscretePlant
 from shake_env.errors import NumericalError, ScenarioError
 from shake_env.objective import StageCost
 from shake_env.parameters import FloatArray
-from shake_env.plant import REFERENCE_CURRENT
+from shake_env.plant import REFERENCE_CURRENT, TABLE_DISPLACEMENT
 
+GROUND_DISPLACEMENT = 2  # place in the state of a ground filter with the high-pass
 DOUBLINGS = 64  # of a Stein sum: more than any stable pole of float64 needs
 
 
@@ -56,20 +57,35 @@ class TrackingProblem:
     Gamma: FloatArray  # (m, draws) M_j = G' closed'^(j-1) Gamma / R_u for j >= 1
 
     @classmethod
-    def of(cls, discrete: DiscretePlant, cost: StageCost) -> TrackingProblem:
+    def of(
+        cls, discrete: DiscretePlant, cost: StageCost, position: float | None = None
+    ) -> TrackingProblem:
         """Split the lifted plant and solve what does not depend on the information.
+
+        Parameters
+        ----------
+        discrete, cost
+            Plant at its physics step and control rate, and the stage cost to minimise.
+        position
+            [m] d: the law also minimises ``((x_a - x_g) / d)^2`` at each period's end, x_g the ground's
+            displacement; None leaves the table's position to itself.
 
         Raises
         ------
         ScenarioError
-            If the target drives the specimen directly, as in the printed equations.
+            If the target drives the specimen directly, as in the printed equations, or the position is
+            weighed and the ground filter has no high-pass: its displacement then has no bound.
         NumericalError
             If the Riccati equation has no solution, or target or reference have no stationary response.
         """
         plant, layout = discrete.plant, discrete.layout
         if plant.equations.specimen_feels_target:
             raise ScenarioError("equations", plant.equations, "preview needs the corrected equations")
-        p = ScaledProblem.of(discrete)
+        if position is not None and layout.filter_states != 4:
+            raise ScenarioError(
+                "highpass_frequency", plant.ground.highpass_frequency, "a weighed position needs one"
+            )
+        p = ScaledProblem.of(discrete, None if position is None else np.arange(layout.order))
         inside = (p.kept >= layout.controlled.start) & (p.kept < layout.controlled.stop)
         c, e = np.flatnonzero(inside), np.flatnonzero(~inside)
         F, G, A, N = p.F[np.ix_(c, c)], p.G[c], p.F[np.ix_(e, e)], p.N[e]
@@ -79,6 +95,12 @@ class TrackingProblem:
         # The errors are Z - r: what the lifted errors make of exogenous states and draws is -r.
         Z_x, Z_u, C, D = p.Z_x[:, :, c], p.Z_u, -p.Z_x[:, :, e], -p.Z_d
         z_x, z_u, r_e, r_d = (_weighed(cost, part) for part in (Z_x, Z_u, C, D))
+        if position is not None:
+            x_a, x_g = TABLE_DISPLACEMENT, GROUND_DISPLACEMENT  # places in x_c and in x_e
+            on_table = p.scale[layout.table_displacement] / position
+            on_ground = p.scale[GROUND_DISPLACEMENT] / position
+            z_x, z_u = np.vstack([z_x, on_table * F[x_a]]), np.vstack([z_u, on_table * G[x_a]])
+            r_e, r_d = np.vstack([r_e, on_ground * A[x_g]]), np.vstack([r_d, on_ground * N[x_g]])
         stage = z_u.T @ z_u + cost.current * REFERENCE_CURRENT**2
         P, K = riccati(F, G, z_x.T @ z_x, stage, z_x.T @ z_u)
         R_u = float((stage + G.T @ P @ G)[0, 0])

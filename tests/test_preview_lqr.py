@@ -214,3 +214,43 @@ def test_what_cannot_be_designed_says_why():
         )
     with pytest.raises(ScenarioError, match="full state"):
         PreviewFeedback(make_scenario("linear", {"sensing": "laboratory"}))
+
+
+HIGHPASSED = make_scenario("linear", {"highpass_frequency": 0.5, "duration": 10.0})
+
+
+def test_a_weighed_position_costs_little_and_keeps_the_table_in_its_place():
+    discrete, cost = HIGHPASSED.discrete, HIGHPASSED.stage_cost
+    free = preview_lqr(discrete, cost, 0.1)
+    barely = preview_lqr(discrete, cost, 0.1, position=1e4)
+    assert barely.analytic_cost == pytest.approx(free.analytic_cost, rel=1e-5)
+    costs = [preview_lqr(discrete, cost, 0.1, position=d).analytic_cost for d in (3.0, 0.3, 0.03)]
+    assert free.analytic_cost < costs[0] < costs[1] < costs[2]
+    position = HIGHPASSED.plant.layout.table_displacement
+    assert free.gain[position] == 0.0 and preview_lqr(discrete, cost, 0.1, position=0.3).gain[position]
+
+
+def test_simulated_cost_and_place_under_a_weighed_position():
+    scenario = replace(HIGHPASSED, sensing=Sensing(preview=0.1))
+    spread = []
+    for position in (None, 3.0, 0.05):
+        law = preview_lqr(scenario.discrete, scenario.stage_cost, 0.1, position=position)
+        controller, simulation = PreviewFeedback(scenario, law), Simulation(scenario, 200)
+        observation = simulation.start(range(200), [np.random.default_rng(i) for i in range(200)])
+        cost = []
+        for _ in range(1999):
+            action, _ = controller.predict(observation)
+            result = simulation.step(action[:, 0].astype(float))
+            observation = result.observation
+            cost.append(-result.reward)
+        # The ground filter settles within a second.
+        assert np.mean(cost[200:]) == pytest.approx(law.analytic_cost, rel=0.01)
+        off = result.outcome.response.state[:, 1] - result.ground.ground[:, 2]
+        spread.append(np.sqrt(np.mean(off**2)))
+    assert spread[1] < 0.3 * spread[0] and spread[2] < 0.1 * spread[1]
+
+
+def test_a_weighed_position_needs_the_high_pass():
+    scenario = make_scenario()
+    with pytest.raises(ScenarioError, match="highpass_frequency"):
+        preview_lqr(scenario.discrete, scenario.stage_cost, 0.1, position=0.1)
