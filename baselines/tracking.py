@@ -49,6 +49,7 @@ class TrackingProblem:
     N: FloatArray  # (e, draws)
     C: FloatArray  # (k, 2, e) r = [y~, f~_s] [m/s^2, N] after each physics step
     D: FloatArray  # (k, 2, draws)
+    P: FloatArray  # (m, m) Riccati solution of x_c
     K: FloatArray  # (1, m) feedback of x_c
     R_u: float  # curvature of the cost in the current
     closed: FloatArray  # (m, m) F - G K
@@ -94,7 +95,7 @@ class TrackingProblem:
             raise NumericalError("spectral radius", radius, "target and reference must be stationary")
         # The errors are Z - r: what the lifted errors make of exogenous states and draws is -r.
         Z_x, Z_u, C, D = p.Z_x[:, :, c], p.Z_u, -p.Z_x[:, :, e], -p.Z_d
-        z_x, z_u, r_e, r_d = (_weighed(cost, part) for part in (Z_x, Z_u, C, D))
+        z_x, z_u, r_e, r_d = (weighed(cost, part) for part in (Z_x, Z_u, C, D))
         if position is not None:
             x_a, x_g = TABLE_DISPLACEMENT, GROUND_DISPLACEMENT  # places in x_c and in x_e
             on_table = p.scale[layout.table_displacement] / position
@@ -108,7 +109,7 @@ class TrackingProblem:
         Psi = (z_x - z_u @ K).T
         H = stein_sum(closed.T, Psi @ r_e, A)  # E[h_i | x_e,i] = H x_e,i
         return cls(
-            discrete, cost, p.kept[c], p.kept[e], F, G, Z_x, Z_u, A, N, C, D, K, R_u, closed,
+            discrete, cost, p.kept[c], p.kept[e], F, G, Z_x, Z_u, A, N, C, D, P, K, R_u, closed,
             L=(z_u.T @ r_e + G.T @ H @ A) / R_u,
             M_0=(z_u.T @ r_d + G.T @ H @ N) / R_u,
             Gamma=Psi @ r_d + closed.T @ H @ N,
@@ -131,7 +132,7 @@ class TrackingProblem:
         return float(np.sum(self.M_0**2) + np.einsum("id,ij,jd->", self.Gamma, reach, self.Gamma))
 
 
-def _weighed(cost: StageCost, outputs: FloatArray) -> FloatArray:
+def weighed(cost: StageCost, outputs: FloatArray) -> FloatArray:
     """Return outputs (k, 2, columns) as rows (2 k, columns) whose squares sum to the stage cost."""
     k = len(outputs)
     weights = np.sqrt(np.array([cost.acceleration, cost.force]) / k)
