@@ -22,7 +22,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.lqr import action_row, sampled_lqr
+from baselines.preview_lqr import PreviewFeedback
 from baselines.tracking import TrackingProblem, weighed
 from shake_env.discretization import first_order_hold
 from shake_env.errors import ParameterError
@@ -72,9 +72,9 @@ class DisturbancePreview:
     force_row: FloatArray  # (T,) current per force on the table [A/N]
 
     @classmethod
-    def of(cls, scenario: Scenario, periods: int) -> DisturbancePreview:
-        """Predict with the LQR's closed loop."""
-        problem = TrackingProblem.of(scenario.discrete, scenario.stage_cost)
+    def of(cls, scenario: Scenario, periods: int, position: float | None = None) -> DisturbancePreview:
+        """Predict with the closed loop of LQR; `position` as for `preview_lqr`."""
+        problem = TrackingProblem.of(scenario.discrete, scenario.stage_cost, position)
         rows, spread = _predicted(scenario, problem, periods)
         flow, force = (_reply(scenario, problem, periods, 1 + c) for c in (FLOW, FORCE))
         return cls(rows, spread, flow, force)
@@ -152,7 +152,7 @@ def _reply(scenario: Scenario, q: TrackingProblem, periods: int, column: int) ->
 
 
 class FeedforwardLQR:
-    """The scenario's LQR with feed-forward for its nominal friction and orifice, as a `Controller`.
+    """LQR, with what the scenario previews, and feed-forward for its nominal friction and orifice.
 
     Parameters
     ----------
@@ -160,12 +160,18 @@ class FeedforwardLQR:
         Whose `nonlinearity` is compensated; its observation must show the full state.
     compensation
         What is compensated.
+    position
+        [m] what an error of the table's place is worth, as for `preview_lqr`; None: nothing.
     """
 
-    def __init__(self, scenario: Scenario, compensation: Compensation | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        compensation: Compensation | None = None,
+        position: float | None = None,
+    ) -> None:
         c = Compensation() if compensation is None else compensation
-        design = sampled_lqr(scenario.discrete, scenario.stage_cost)
-        self._row = action_row(scenario, design.gain)
+        self._row = PreviewFeedback(scenario, position=position).row
         self._order = scenario.plant.layout.order
         self._limit = scenario.current_limit
         parts, layout = scenario.nonlinearity, scenario.plant.layout
@@ -173,7 +179,7 @@ class FeedforwardLQR:
         self._valve = parts.valve if c.orifice == "preview" and parts.valve.flow_active else None
         if self._friction is not None or self._valve is not None:
             periods = max(1, math.ceil(c.horizon / scenario.control_period - 1e-9))
-            self.preview = DisturbancePreview.of(scenario, periods)
+            self.preview = DisturbancePreview.of(scenario, periods, position)
         pressure = scenario.plant.state_scale[layout.actuator][LOAD_PRESSURE]
         self._pressure = layout.actuator.start + LOAD_PRESSURE
         self._load = pressure / parts.valve.supply_pressure if c.orifice == "present" else 0.0

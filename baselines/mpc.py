@@ -46,6 +46,7 @@ class MPCSettings:
     current: float | None = None  # [A]; None: the scenario's current limit
     velocity: float | None = None  # [m/s]; None: where the scenario's soft limit begins
     displacement: float | None = None  # [m]; None: where the scenario's soft limit begins
+    position: float | None = None  # [m] what an error of place is worth, as for `preview_lqr`
     slope: float = 100.0  # [-]
     curvature: float = 1000.0  # [-]
     tolerance: float = 1e-4  # OSQP's eps_abs and eps_rel; 1 is REFERENCE_CURRENT or a limit
@@ -55,7 +56,7 @@ class MPCSettings:
 
     def __post_init__(self) -> None:
         require_positive(self, "horizon", "slope", "curvature", "tolerance", "penalty", "iterations")
-        for name in ("current", "velocity", "displacement"):
+        for name in ("current", "velocity", "displacement", "position"):
             value = getattr(self, name)
             if value is not None and not value > 0.0:
                 raise ParameterError(name, value, "must be above 0 (inf: no limit)")
@@ -158,7 +159,7 @@ class PredictiveControl:
             own if asked is None else asked
             for own, asked in zip((scenario.current_limit, *soft), given, strict=True)
         ]
-        problem = TrackingProblem.of(scenario.discrete, scenario.stage_cost)
+        problem = TrackingProblem.of(scenario.discrete, scenario.stage_cost, s.position)
         self._H = H = max(1, round(s.horizon / scenario.control_period))
         self.prediction = Prediction.of(scenario, problem, np.array(limits, dtype=float), H)
         self._action = limits[0] / scenario.current_limit

@@ -243,6 +243,8 @@ class PreviewFeedback:
         Whose observation it reads: the full state and the previewed samples. What follows is not read.
     design
         The law; None: `preview_lqr` for the scenario's own objective and preview.
+    position
+        [m] of that design, where none is given.
 
     Raises
     ------
@@ -250,11 +252,21 @@ class PreviewFeedback:
         If the scenario does not show the full state, or another preview than the law's.
     """
 
-    def __init__(self, scenario: Scenario, design: PreviewDesign | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        design: PreviewDesign | None = None,
+        position: float | None = None,
+    ) -> None:
         sensing = scenario.sensing
         if design is None:
-            spacing = sensing.preview_spacing
-            design = preview_lqr(scenario.discrete, scenario.stage_cost, sensing.preview, spacing)
+            design = preview_lqr(
+                scenario.discrete,
+                scenario.stage_cost,
+                sensing.preview,
+                sensing.preview_spacing,
+                position,
+            )
         check_preview(scenario, len(design.preview_gain), design.spacing)
         self.row = action_row(scenario, design.gain)  # (size,) action per entry of the observation
         size = np.sqrt(scenario.plant.target_variance) / scenario.current_limit
