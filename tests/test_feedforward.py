@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from baselines.feedforward import Compensation, DisturbancePreview, FeedforwardLQR
-from baselines.lqr import lqr, sampled_lqr
+from baselines.lqr import lqr
+from baselines.preview_lqr import PreviewFeedback
 from shake_env import Friction, Nonlinearity, Sensing, ServoValve, make_scenario
 from shake_env.errors import ParameterError, ScenarioError
 from shake_env.nonlinear_dynamics import NonlinearDynamics
@@ -158,12 +159,11 @@ def test_shapes_and_what_is_not_read(orifice):
     assert action.shape == (6, 1) and action.dtype == np.float32 and memory is None
     single, _ = controller.predict(observation[2])
     assert single.shape == (1,) and single[0] == pytest.approx(action[2, 0], abs=1e-6)
-    observation[:, scenario.plant.layout.order :] += 1.0
+    observation[:, scenario.observation.last_action] += 1.0
     assert np.array_equal(controller.predict(observation)[0], action)
     assert np.max(np.abs(controller.predict(1e3 * observation)[0])) == 1.0
-    plain = sampled_lqr(scenario.discrete, scenario.stage_cost).gain * scenario.plant.state_scale
-    unaware = -(observation[:, :14] @ plain) / scenario.current_limit
-    assert np.max(np.abs(action[:, 0] - unaware)) > 1e-3
+    unaware, _ = PreviewFeedback(scenario).predict(observation)
+    assert np.max(np.abs(action - unaware)) > 1e-3
 
 
 def test_present_division_is_the_inverse_orifice():
