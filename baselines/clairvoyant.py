@@ -76,9 +76,7 @@ class PerLane:
         actions, kept = [], []
         for lane, controller in enumerate(self.controllers):
             begins = None if episode_start is None else episode_start[lane : lane + 1]
-            action, memory = controller.predict(
-                observation[lane], memories[lane], begins, deterministic
-            )
+            action, memory = controller.predict(observation[lane], memories[lane], begins, deterministic)
             actions.append(action)
             kept.append(memory)
         return np.stack(actions), tuple(kept)
