@@ -23,7 +23,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 from agents.__main__ import main
 from agents.film import FILMS, film
 from baselines.registry import make_baseline
-from shake_env import ShakeTableEnv, ShakeTableVectorEnv, make_scenario
+from shake_env import NoControl, ShakeTableEnv, ShakeTableVectorEnv, make_scenario
 from shake_env.drawing import (
     BASE_REACH,
     BASE_TOP,
@@ -103,8 +103,9 @@ def test_floors_are_drawn_where_the_state_says():
         assert drawn == pytest.approx(expected, abs=1.0)
 
 
-def test_strips_show_the_target_and_what_was_achieved():
-    env, _ = run(200)
+@pytest.mark.parametrize("controller", [NoControl(), None], ids=["none", "lqr"])
+def test_strips_show_the_target_and_what_was_achieved(controller):
+    env, _ = run(230, controller=controller)
     scene = env._view._recorder.scene()
     frame = env._view._painter.paint(scene)
     # At each strip's right end the blue line stands at the present value.
@@ -113,12 +114,16 @@ def test_strips_show_the_target_and_what_was_achieved():
     ):
         x = round(STRIP_X[1]) - 2
         strip = frame[round(top) : round(bottom), x - 1 : x + 1].astype(int)
+        height = (top + bottom) / 2.0 - history[-4:] * (bottom - top) / (2.0 * scale) - round(top)
         blueness = strip[..., 2] - strip[..., 0]
-        rows = np.nonzero(blueness.max(axis=1) > 60)[0]
-        assert len(rows), "no blue at the end of the strip"
-        height = (top + bottom) / 2.0 - history[-4:, 0] * (bottom - top) / (2.0 * scale) - round(top)
-        # Two pixels are 14 ms, three steps, over which the line runs.
-        assert rows.min() <= height.max() + 2.0 and rows.max() >= height.min() - 2.0
+        for column, ink in ((0, blueness), (1, -blueness)):
+            rows = np.nonzero(ink.max(axis=1) > 60)[0]
+            assert len(rows), "no line at the end of the strip"
+            # Two pixels are 14 ms, three steps, over which the line runs; half its width is two more.
+            assert rows.min() <= height[:, column].max() + 2.0
+            assert rows.max() >= height[:, column].min() - 2.0
+        if controller is not None:  # a table that stands still is told from its target
+            assert np.abs(height[:, 0] - height[:, 1]).min() > 5.0
 
 
 def test_true_positions_where_the_stroke_is_limited():
