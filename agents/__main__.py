@@ -26,6 +26,7 @@ from agents.progress import progress_bar
 from agents.scenario_command import ShowScenario
 from agents.tune_command import Tune
 from agents.validate_command import Validate
+from agents.watch_command import Watch
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,6 +208,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "train": Train,
     "tune": Tune,
     "validate": Validate,
+    "watch": Watch,
 }
 
 
