@@ -116,15 +116,14 @@ def feed_forward_gains(table: NominalTable, feedback: FloatArray, band: FloatArr
     return solution
 
 
-def tvc_law(scenario: Scenario, design: TVCDesign) -> LinearLaw:
-    """Return three-variable control of a scenario's nominal table.
+def placed_feedback(table: NominalTable, scenario: Scenario, design: TVCDesign) -> FloatArray:
+    """Return the feedback gains (3,) of a design on a scenario's nominal table.
 
     Raises
     ------
     NumericalError
         If the loop with the placed poles is not stable.
     """
-    table = NominalTable.of(scenario)
     oil = 2.0 * math.pi * float(scenario.plant.natural_frequencies[-1])
     zeta = design.oil_damping
     pair = oil * complex(-zeta, math.sqrt(1.0 - zeta**2))
@@ -132,12 +131,20 @@ def tvc_law(scenario: Scenario, design: TVCDesign) -> LinearLaw:
     feedback = feedback_gains(table, np.exp(s * table.period))
     D = np.zeros(SIGNALS)
     D[FEEDBACK] = -feedback
-    D[TARGETS] = feed_forward_gains(table, feedback, design.band)
-    law = LinearLaw.static(D)
-    radius = ClosedLoop(table, law).radius
+    radius = ClosedLoop(table, LinearLaw.static(D)).radius
     if not radius < 1.0:
         raise NumericalError("spectral radius", radius, "ask for less bandwidth or oil damping")
-    return law
+    return feedback
+
+
+def tvc_law(scenario: Scenario, design: TVCDesign) -> LinearLaw:
+    """Return three-variable control of a scenario's nominal table."""
+    table = NominalTable.of(scenario)
+    feedback = placed_feedback(table, scenario, design)
+    D = np.zeros(SIGNALS)
+    D[FEEDBACK] = -feedback
+    D[TARGETS] = feed_forward_gains(table, feedback, design.band)
+    return LinearLaw.static(D)
 
 
 def tvc(scenario: Scenario, design: TVCDesign | None = None) -> OutputFeedback:

@@ -3,13 +3,19 @@
 import numpy as np
 import pytest
 
+from baselines.inverse import InverseDesign, InverseFeedForward
 from baselines.pid import pid
-from baselines.tvc import tvc
+from baselines.tvc import TVCDesign, tvc
 from shake_env.controller import Controller
 from shake_env.overrides import make_scenario
 from shake_env.simulation import Simulation
 
-CONTROLLERS = {"pid": pid, "tvc": tvc}
+CONTROLLERS = {
+    "pid": pid,
+    "tvc": tvc,
+    "inverse": InverseFeedForward,
+    "inverse with feedback": lambda s: InverseFeedForward(s, InverseDesign(feedback=TVCDesign())),
+}
 SCENARIOS = {
     "laboratory": lambda: make_scenario("laboratory"),
     "full": lambda: make_scenario("laboratory", {"sensing": "full"}),
