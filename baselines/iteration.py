@@ -185,8 +185,7 @@ def regularised_inverse(
     """Return H (..., lines) [A s^2/m]; nowhere above ``1 / (2 eps)``, and zero where G is."""
     eps = plan.regularisation * omega * flow_velocity(scenario)
     square = np.abs(response) ** 2 + eps**2
-    inverse: ComplexArray = np.conj(response) / np.where(square > 0.0, square, 1.0)
-    return inverse
+    return response.conj() / np.where(square > 0.0, square, 1.0)
 
 
 def transfer_function_iteration(
