@@ -14,7 +14,7 @@ from shake_env.errors import ParameterError, ShakeError
 try:
     import tyro
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import TextColumn, TimeRemainingColumn
 except ImportError as missing:  # the environment and LQR install without the command line's packages
     sys.exit(f"shake: {missing.name} is not installed: pip install 'shake-env[agents]'")
 
@@ -22,8 +22,11 @@ from agents.components_command import Components
 from agents.config import TrainConfig
 from agents.motion_command import Motion, MotionOptions, motion_earthquakes
 from agents.options import ScenarioOptions
+from agents.progress import progress_bar
 from agents.scenario_command import ShowScenario
+from agents.tune_command import Tune
 from agents.validate_command import Validate
+from agents.watch_command import Watch
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +74,7 @@ class Compare:
         motions = motion_earthquakes(
             self.motion, self.motion_options, scenario, scale=self.scale, console=console
         )
-        with _progress() as progress:
+        with progress_bar() as progress:
             tasks: dict[str, Any] = {}
 
             def on_progress(name: str, share: float) -> None:
@@ -171,7 +174,7 @@ class Train:
         from agents.train import resume, train
 
         columns = (TextColumn("cost / LQR {task.fields[ratio]}"), TimeRemainingColumn())
-        with _progress(*columns) as progress:
+        with progress_bar(*columns) as progress:
             task = progress.add_task("training", total=None, ratio="-")
 
             def report(told: Told) -> None:
@@ -190,14 +193,6 @@ class Train:
         return asdict(result)
 
 
-def _progress(*columns: Any) -> Progress:
-    """Return a progress bar on standard error; where that is no terminal, its last state only."""
-    return Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), *columns,
-        console=Console(stderr=True),
-    )  # fmt: skip
-
-
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
     plain: dict[str, Any] = json.loads(json.dumps(values, default=str))
     return plain
@@ -211,7 +206,9 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "reproduce": Reproduce,
     "scenario": ShowScenario,
     "train": Train,
+    "tune": Tune,
     "validate": Validate,
+    "watch": Watch,
 }
 
 

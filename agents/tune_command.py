@@ -1,0 +1,71 @@
+"""The command ``shake tune``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+
+from agents.options import ScenarioOptions
+from agents.progress import progress_bar
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tune:
+    """Search a controller's free parameters on validation earthquakes; goes on where it stopped.
+
+    Try:
+      shake tune lqg --scenario laboratory
+      shake tune pid --scenario laboratory --budget 1000000
+      shake tune tvc --scenario records --keep baselines/tuned.json
+    """
+
+    controller: tyro.conf.Positional[str]
+    """Name of the controller."""
+    scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
+    budget: int = 4_000_000
+    """Control periods to simulate in all; what a policy is trained with by default."""
+    earthquakes: int = 16
+    """Validation earthquakes of a trial."""
+    seed: int = 0
+    """Seed of the search."""
+    storage: Path = Path("runs/tune.db")
+    """SQLite file with the trace of every search; a search in it is gone on with."""
+    keep: Path | None = None
+    """JSON file to put the result in; baselines/tuned.json is what `shake compare` takes."""
+    json: bool = False
+    """Print one JSON object on standard output and nothing else there."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Search with a progress bar, and print what was found."""
+        from agents.tune import keep, tune
+
+        with progress_bar() as progress:
+            task = progress.add_task(f"tuning {self.controller}", total=None)
+
+            def on_trial(done: int, total: int, best: float) -> None:
+                description = f"tuning {self.controller}, best cost {best:.4g}"
+                progress.update(task, completed=done, total=total, description=description)
+
+            found = tune(
+                self.controller,
+                self.scenario.build(),
+                self.storage,
+                budget=self.budget,
+                earthquakes=self.earthquakes,
+                seed=self.seed,
+                on_trial=on_trial,
+            )
+        console.print(
+            f"{found.controller} on {found.scenario}: cost {found.cost:.4g} after {found.trials} "
+            f"trials, {found.default_cost:.4g} by default"
+        )
+        for name, value in found.parameters.items():
+            console.print(f"  {name} = {value:.6g}")
+        if self.keep is not None:
+            keep(found, self.keep)
+            console.print(f"wrote {self.keep}")
+        return found.to_json()
