@@ -18,6 +18,7 @@ try:
 except ImportError as missing:  # the environment and LQR install without the command line's packages
     sys.exit(f"shake: {missing.name} is not installed: pip install 'shake-env[agents]'")
 
+from agents.bench_command import Bench
 from agents.components_command import Components
 from agents.config import TrainConfig
 from agents.motion_command import Motion, MotionOptions, motion_earthquakes
@@ -199,6 +200,7 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {
+    "bench": Bench,
     "compare": Compare,
     "components": Components,
     "design": Design,
