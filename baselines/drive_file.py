@@ -179,7 +179,11 @@ def repeat_tests(
     number: int,
     feedback: Controller | None,
 ) -> Tests:
-    """Correct a drive by what the last test missed, and test again.
+    """Correct each table's best drive by what it missed, and test again.
+
+    Where a test was worse than the best before it, the correction has overshot: the next one is made
+    from the best again, and half as large from there on. A wrong model then costs repeats, and does not
+    run away with the specimen.
 
     Parameters
     ----------
@@ -195,14 +199,15 @@ def repeat_tests(
         Controller underneath the drive file.
     """
     steps = still.target.shape[1]
-    drive, test = np.zeros((len(earthquakes), steps)), still
-    best, least, repeats = drive, np.full(len(earthquakes), np.inf), []
+    best, least, step = np.zeros((len(earthquakes), steps)), still.cost, correction(still)
+    share, repeats = np.ones((len(earthquakes), 1)), []
     for _ in range(number):
-        drive = np.clip(drive + correction(test) / scenario.current_limit, -1.0, 1.0)
+        drive = np.clip(best + share * step / scenario.current_limit, -1.0, 1.0)
         test = run_test(scenario, earthquakes, DriveFile(drive, feedback), steps)
         repeats.append(test)
-        better = test.cost < least
-        best, least = np.where(better[:, None], drive, best), np.minimum(test.cost, least)
+        better = (test.cost < least)[:, None]
+        best, step = np.where(better, drive, best), np.where(better, correction(test), step)
+        least, share = np.minimum(test.cost, least), np.where(better, share, 0.5 * share)
     return Tests(tuple(repeats), best, DriveFile(best, feedback))
 
 
