@@ -27,6 +27,10 @@ from shake_env.trajectory import Trajectory
 from shake_env.transition import dynamics_of
 from shake_env.uncertainty import Uncertainty
 
+# A cost so much above the best before it takes a correction back. Out of the band that is corrected
+# costs rise and fall by a percent or so from test to test while the base shear still converges.
+WORSE = 1.1
+
 
 class DisplacementHold:
     """Weak feedback of the table's displacement, ``u = -gain x_a``, against drift.
@@ -179,7 +183,11 @@ def repeat_tests(
     number: int,
     feedback: Controller | None,
 ) -> Tests:
-    """Correct a drive by what the last test missed, and test again.
+    """Correct each table's drive by what its last test missed, and test again.
+
+    Where a test was clearly worse than the best before it, the correction has overshot: the next one is
+    made from the best again, and half as large from there on. A wrong model then costs repeats, and
+    does not run away with the specimen.
 
     Parameters
     ----------
@@ -195,14 +203,19 @@ def repeat_tests(
         Controller underneath the drive file.
     """
     steps = still.target.shape[1]
-    drive, test = np.zeros((len(earthquakes), steps)), still
-    best, least, repeats = drive, np.full(len(earthquakes), np.inf), []
+    best, least, step = np.zeros((len(earthquakes), steps)), still.cost, correction(still)
+    last, last_step = best, step
+    share, repeats = np.ones((len(earthquakes), 1)), []
     for _ in range(number):
-        drive = np.clip(drive + correction(test) / scenario.current_limit, -1.0, 1.0)
+        drive = np.clip(last + share * last_step / scenario.current_limit, -1.0, 1.0)
         test = run_test(scenario, earthquakes, DriveFile(drive, feedback), steps)
         repeats.append(test)
-        better = test.cost < least
-        best, least = np.where(better[:, None], drive, best), np.minimum(test.cost, least)
+        new_step = correction(test)
+        better = (test.cost < least)[:, None]
+        worse = (test.cost > WORSE * least)[:, None]
+        best, step = np.where(better, drive, best), np.where(better, new_step, step)
+        least, share = np.minimum(test.cost, least), np.where(worse, 0.5 * share, share)
+        last, last_step = np.where(worse, best, drive), np.where(worse, step, new_step)
     return Tests(tuple(repeats), best, DriveFile(best, feedback))
 
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from baselines.drive_file import DisplacementHold, DriveFile, PeriodModel, run_test
+from baselines.drive_file import DisplacementHold, DriveFile, PeriodModel, repeat_tests, run_test
 from baselines.ilc import LearningLaw, missed, norm_optimal_learning
 from baselines.iteration import (
     IterationPlan,
@@ -17,7 +17,7 @@ from baselines.iteration import (
     transfer_function_iteration,
 )
 from baselines.lqr import lqr
-from shake_env import NoControl, make_scenario
+from shake_env import NoControl, Specimen, make_scenario
 from shake_env.errors import ParameterError
 from shake_env.limits import Limits
 from shake_env.motion import Envelope, FilteredNoise
@@ -104,7 +104,7 @@ def test_regularisation_bounds_the_correction(linear):
 def test_repeats_damage_a_yielding_specimen():
     scenario = short()
     result = transfer_function_iteration(
-        scenario, noise_earthquakes(scenario, 2, seed=5), IterationPlan(repeats=4)
+        scenario, noise_earthquakes(scenario, 1, seed=5), IterationPlan(repeats=3)
     )
     first, last = result.tests.repeats[0], result.tests.repeats[-1]
     assert np.all(last.shear_error < 0.25 * first.shear_error)
@@ -157,6 +157,23 @@ def test_learning_lowers_the_errors_norm_in_every_repeat(linear):
     for before, after in pairwise(norms):
         assert np.all(after < before)
     np.testing.assert_array_equal(tests.drive, tests.controller.drive)
+
+
+def test_a_wrong_model_costs_repeats_and_does_not_run_away(linear):
+    """Learning for a specimen five times as heavy: some corrections overshoot, and are halved."""
+    light = replace(linear, specimen=Specimen.uniform(mass_ratio=0.15, storey_frequency=9.0))
+    quakes = noise_earthquakes(light, 1, seed=5)
+    still, hold = run_test(light, quakes, NoControl()), DisplacementHold(light, 0.2)
+    steps = still.target.shape[1]
+    heavy = replace(linear, specimen=Specimen.uniform(mass_ratio=0.8, storey_frequency=6.0))
+    law = LearningLaw.of(PeriodModel.of(heavy, hold.gain), light.stage_cost, 0.1, steps)
+    tests = repeat_tests(light, quakes, still, lambda test: law.correction(missed(test)), 4, hold)
+    costs = np.array([test.cost[0] for test in tests.repeats])
+    assert np.any(np.diff(costs) > 0.0)  # or the case is too easy to tell anything
+    again = run_test(light, quakes, tests.controller)
+    assert again.cost[0] == pytest.approx(costs.min()) and costs.min() < still.cost[0]
+    # Uncorrected, each repeat would more than double the error at the specimen's modes.
+    assert costs.max() < 1.5 * still.cost[0] and costs[-1] < costs[0]
 
 
 def test_drive_file_plays_each_lane_from_its_own_start():
