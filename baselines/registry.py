@@ -14,6 +14,7 @@ from functools import lru_cache
 from importlib import resources
 from typing import Any
 
+from baselines.lqg import lqg
 from baselines.lqr import lqr
 from shake_env.controller import Controller, NoControl
 from shake_env.errors import ParameterError, ScenarioError, unknown
@@ -53,6 +54,11 @@ class Baseline:
 BASELINES: dict[str, Baseline] = {
     "none": Baseline(lambda scenario: NoControl(), "zero current: the table that does nothing"),
     "lqr": Baseline(lqr, "sampled-data LQR on the full state"),
+    "lqg": Baseline(
+        lqg,
+        "sampled-data LQR on a Kalman filter's estimate, the loop delay predicted away",
+        {"model_error": Tunable(0.002, 0.2, 0.02)},
+    ),
 }
 
 
