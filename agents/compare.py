@@ -16,7 +16,8 @@ from scipy.stats import bootstrap
 import shake_env
 from agents.fidelity import Fidelity, fidelity
 from agents.policy_file import load_policy
-from baselines.registry import BASELINES, make_baseline, reference_name
+from baselines.catalogue import BASELINES
+from baselines.registry import make_baseline, reference_name
 from shake_env.controller import Controller
 from shake_env.errors import NumericalError, ParameterError, PolicyFileError, ScenarioError, unknown
 from shake_env.metrics import EpisodeMetrics
@@ -100,7 +101,7 @@ def shipped_policy() -> Path:
 
 
 def named_controllers(
-    names: Sequence[str], scenario: Scenario
+    names: Sequence[str], scenario: Scenario, earthquakes: Sequence[Earthquake] | None = None
 ) -> tuple[dict[str, Controller], list[str]]:
     """Return controllers by name, and what had to be left out.
 
@@ -113,6 +114,8 @@ def named_controllers(
     scenario
         What they drive. What ``all`` or ``policy`` stand for is left out where it does not suit; what is
         named raises.
+    earthquakes
+        One a lane; needed by controllers that repeat their tests beforehand.
 
     Raises
     ------
@@ -122,13 +125,16 @@ def named_controllers(
         If a named policy cannot be read or does not fit the scenario.
     """
     reference = reference_name(scenario)
-    controllers: dict[str, Controller] = {reference: make_baseline(reference, scenario)}
+    controllers: dict[str, Controller] = {
+        reference: make_baseline(reference, scenario, None, earthquakes)
+    }
     skipped = []
     for name in names:
         if name == ALL:
             for each in BASELINES:
                 try:
-                    controllers.setdefault(each, make_baseline(each, scenario))
+                    if each not in controllers:
+                        controllers[each] = make_baseline(each, scenario, None, earthquakes)
                 except (ScenarioError, NumericalError) as error:
                     skipped.append(f"{each} ({error})")
         elif name == SHIPPED:
@@ -139,11 +145,12 @@ def named_controllers(
             except PolicyFileError as error:
                 skipped.append(f"the shipped policy ({error})")
         elif name in BASELINES:
-            if name == "lqr" and name != reference:
+            if name == "lqr" and not scenario.sensing.full_state:
                 # A default that names LQR should not stop a scenario that does not show its state.
                 skipped.append(f"lqr (the scenario shows measured signals: {reference} estimates it)")
                 continue
-            controllers.setdefault(name, make_baseline(name, scenario))
+            if name not in controllers:
+                controllers[name] = make_baseline(name, scenario, None, earthquakes)
         elif not (Path(name).exists() or "/" in name or "." in name):
             raise unknown(ScenarioError, "controller", name, [*BASELINES, ALL, SHIPPED])
         else:
@@ -213,7 +220,7 @@ def compare(
         "filtered noise": range(noisy, len(earthquakes)),
     }
     traced = _strongest(recorded) if recorded and not motions else 0
-    controllers, skipped = named_controllers(names, scenario)
+    controllers, skipped = named_controllers(names, scenario, earthquakes)
     reference = next(iter(controllers))
     episodes: dict[str, list[EpisodeMetrics]] = {}
     fidelities: dict[str, list[Fidelity]] = {}
