@@ -20,9 +20,10 @@ from shake_env.parameters import FloatArray
 from shake_env.plant import StateSpace
 from shake_env.scenario import Scenario
 
-# Observations are float32 of the order of 1; directions of x_W that hardly move within a period are not
-# read from the differences of such numbers.
-ROUNDING = 1e-6
+# How well x_W is taken to fit the filter, over its scale. Noise fits to float32; a recorded motion's x_W
+# is integrated and freed of drift. With this, x~_S is known to 0.08 % of its size under noise (without a
+# high-pass, where its last trace is not in x_W), and to 0.2 % under most records, 2 % under the longest.
+TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class ReferenceRecursion:
         A = lifted.state[:, : layout.order] * scale / scale[:, None]
         N = lifted.state[:, layout.order + 1 :] / scale[:, None]
         A_W, N_W, N_S = A[np.ix_(g, g)], N[g], N[r]
-        spread = N_W @ N_W.T + ROUNDING**2 * np.eye(len(g))
+        spread = N_W @ N_W.T + TOLERANCE**2 * np.eye(len(g))
         now: FloatArray = np.linalg.solve(spread, N_W @ N_S.T).T.astype(np.float64)
         rest = N_S - now @ N_W
         before: FloatArray = A[np.ix_(r, g)] - now @ A_W

@@ -179,6 +179,14 @@ def estimated(
     return EstimatedState(scenario, make(full_state(scenario)), estimator)
 
 
-def lqg(scenario: Scenario) -> EstimatedState:
-    """Return the sampled LQR of a scenario's nominal model, fed by its Kalman filter."""
-    return estimated(scenario, lqr)
+def lqg(scenario: Scenario, model_error: float = 0.02) -> EstimatedState:
+    """Return the sampled LQR of a scenario's nominal model, fed by its Kalman filter.
+
+    Parameters
+    ----------
+    scenario
+        What the controller is shown.
+    model_error
+        [-] share of force and flow that the model is taken to miss, beside friction (`ModelError.of`).
+    """
+    return estimated(scenario, lqr, ModelError.of(scenario, model_error))
