@@ -63,6 +63,7 @@ class MCSDesign:
     leakage: float = 0.0  # sigma [1/s] of the integral gains to zero; 0: none
     bound: float = math.inf  # [-] of each integral gain; infinite: no projection
     error_integral: bool = False  # whether the regressor holds the integral of the error (MCSI)
+    normalised: bool = False  # whether adaptation is divided by 1 + the regressor's square
     inner: TVCDesign = field(default_factory=TVCDesign)
 
     def __post_init__(self) -> None:
@@ -73,8 +74,11 @@ class MCSDesign:
 
     @classmethod
     def bounded(cls) -> MCSDesign:
-        """Return MCSI with leakage over 5 s and gains within a quarter of the unit loop's."""
-        return cls(leakage=0.2, bound=0.25, error_integral=True)
+        """Return MCSI with leakage over 5 s and gains within a quarter of the unit loop's.
+
+        Normalised, so that a motion larger than the design's unit does not adapt with its square.
+        """
+        return cls(leakage=0.2, bound=0.25, error_integral=True, normalised=True)
 
 
 class MCS:
@@ -126,6 +130,8 @@ class MCS:
         last = omega * integral if d.error_integral else np.zeros_like(x)
         regressor = np.stack([x, v / omega, demand, last], axis=-1) / d.displacement
         drive = weighted[..., None] * regressor
+        if d.normalised:
+            drive = drive / (1.0 + np.sum(regressor**2, axis=-1, keepdims=True))
         total = change + d.beta * drive
         current = signals @ self._inner
         current = current + self._unit * d.displacement * np.sum(total * regressor, axis=-1)

@@ -11,6 +11,8 @@ from shake_env.limits import Limits
 from shake_env.motion import FilteredNoise
 from shake_env.named import laboratory
 from shake_env.nonlinearity import Nonlinearity
+from shake_env.overrides import make_scenario
+from shake_env.rollout import noise_earthquakes, rollout
 from shake_env.simulation import Simulation
 from shake_env.uncertainty import Uncertainty, Uniform
 
@@ -40,7 +42,7 @@ def test_the_table_follows_the_reference_model_where_its_valve_is_not_the_nomina
     assert not broken
     settled = slice(800, None)
     before, after = (np.sqrt(np.mean(e[settled] ** 2)) for e in (fixed, adaptive))
-    assert after < 0.6 * before
+    assert after < 0.7 * before
     # The demand's gain grows, for the valve is weak.
     assert np.all(np.mean(gains[settled, :, 2], axis=0) > 0.05)
 
@@ -54,6 +56,16 @@ def test_adaptation_stays_bounded_over_long_noise():
     # Plain MCS with the same adaptation is out of that box in half the time.
     _, plain, _ = run(scenario, MCS(scenario, MCSDesign(alpha=2.0, beta=0.2)), 6.0)
     assert np.max(np.abs(plain)) > design.bound
+
+
+def test_a_motion_beyond_the_units_of_the_design_diverges_plain_mcs_and_not_the_bounded_one():
+    # The paper's linear setting: unit intensity and no high-pass, so that the ground walks for metres.
+    scenario = make_scenario("linear", {"duration": 15.0})
+    quakes = noise_earthquakes(scenario, 3, 40)
+    plain, _ = rollout(MCS(scenario), scenario, quakes)
+    bounded, _ = rollout(MCS(scenario, MCSDesign.bounded()), scenario, quakes)
+    assert all(m.broken_limit == "diverged" for m in plain)
+    assert all(m.broken_limit is None and m.acceleration_rms_error < 0.75 for m in bounded)
 
 
 def test_without_adaptation_it_is_the_inner_loop_and_gains_stay_zero():
