@@ -174,7 +174,7 @@ def _inverse_feedback(
 
 
 def _mcs(scenario: Scenario, *, alpha: float, bandwidth: float) -> Controller:
-    return MCS(scenario, MCSDesign(alpha=alpha, beta=0.1 * alpha, bandwidth=bandwidth, inner=INNER))
+    return MCS(scenario, MCSDesign(alpha=alpha, beta=0.1 * alpha, bandwidth=bandwidth))
 
 
 def _mcs_bounded(scenario: Scenario, *, alpha: float, bandwidth: float, leakage: float) -> Controller:
@@ -184,7 +184,6 @@ def _mcs_bounded(scenario: Scenario, *, alpha: float, bandwidth: float, leakage:
         beta=0.1 * alpha,
         bandwidth=bandwidth,
         leakage=leakage,
-        inner=INNER,
     )
     return MCS(scenario, design)
 
@@ -205,7 +204,6 @@ def _learning(
     return norm_optimal_learning(scenario, earthquakes, step_weight=step_weight).controller
 
 
-INNER = TVCDesign(oil_damping=0.2)  # stable with and without a delay of half a period
 MODELS = 32  # specimens that the multi-model design is made for
 _POSITION = Tunable(0.001, 0.3, 0.03)
 _DOUBT = Tunable(0.1, 30.0, 1.0)

@@ -35,7 +35,7 @@ def test_acceleration_response_is_flat_over_the_band():
     loop = ClosedLoop(table, tvc_law(scenario, default))
     ripple = decibels(loop.response(default.band))
     assert ripple.min() > -1.3 and ripple.max() < 2.3
-    assert decibels(loop.response(np.geomspace(10.0, 99.0, 400))).max() < 7.0
+    assert decibels(loop.response(np.geomspace(10.0, 99.0, 400))).max() < 10.0
     # Without its feed-forward the same feedback follows acceleration at no frequency of the band's top.
     law = tvc_law(scenario, default)
     errors_alone = np.where(np.arange(8) < 5, law.D, 0.0)
