@@ -16,7 +16,8 @@ LAYERS = [
     {"parameters"},
     {"plant", "records"},
     {"discretization", "motion", "objective", "limits", "nonlinearity", "sensing", "uncertainty"},
-    {"dynamics", "preparation", "fields", "compiled"},
+    {"dynamics", "preparation", "fields", "block_kernel"},
+    {"compiled", "ground_kernel"},
     {"nonlinear_dynamics", "measurement"},
     {"reference"},
     {"excitation"},
@@ -24,7 +25,9 @@ LAYERS = [
     {"named"},
     {"overrides"},
     {"transition"},
-    {"fleet"},
+    {"fleet", "packing"},
+    {"fused"},
+    {"engine"},
     {"simulation"},
     {"metrics", "trajectory"},
     {"rollout", "env", "rendering"},
@@ -78,8 +81,9 @@ def test_agents_leave_control_to_the_baselines(path):
 
 def test_packages_need_nothing_that_is_not_declared():
     declared = {"numpy", "scipy", "gymnasium", "array_api_compat", "shake_env"}
+    compiled = {"block_kernel.py", "compiled.py", "fused.py", "ground_kernel.py"}
     for path in sources("shake_env"):
-        optional = {"numba"} if path.name == "compiled.py" else set()
+        optional = {"numba"} if path.name in compiled else set()
         extra = imports(path, top_level_only=True) - declared - optional - sys.stdlib_module_names
         assert not extra, path
 
