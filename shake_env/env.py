@@ -15,9 +15,8 @@ from shake_env.limits import OBSERVATION_BOUND, REASONS
 from shake_env.motion import Motion
 from shake_env.overrides import Overrides, make_scenario
 from shake_env.packing import TERMINATED
-from shake_env.parameters import FloatArray
 from shake_env.scenario import Scenario
-from shake_env.simulation import Simulation, StepResult, checked_action, episode_stream, step_report
+from shake_env.simulation import Simulation, checked_action, episode_stream
 
 INFO_KEYS = (
     "table_acceleration",
@@ -252,8 +251,3 @@ def motion_option(options: dict[str, Any] | None) -> Motion | None:
     if motion is not None and not isinstance(motion, Motion):
         raise ScenarioError("motion", motion, "must be a FilteredNoise, a RecordedMotion or a MotionSet")
     return motion
-
-
-def step_info(result: StepResult) -> dict[str, FloatArray]:
-    """Return what a step reports, one array (N,) for each of `INFO_KEYS`, in SI."""
-    return dict(zip(INFO_KEYS, step_report(result), strict=True))

@@ -38,6 +38,7 @@ from shake_env.reference import YieldingReference
 Array = Any  # a numpy array or a torch tensor
 IntArray = NDArray[np.intp]
 BLOCK_STEPS = 64  # control periods computed ahead
+CHUNK = 64  # lanes whose draws, a megabyte, are used before they leave the cache
 
 
 @dataclass(frozen=True)
@@ -267,7 +268,7 @@ class Excitation:
         # Two, in turn: the period handed out last stays what it is when the next block is computed.
         # Tables lie innermost, so that a step reads each quantity of neighbouring ones in a row.
         self._store, self._spare = np.zeros((2, self._length, self._rows.width, lanes))
-        self._noise = np.empty((lanes, self._length, self._draws))
+        self._noise = np.empty((min(lanes, CHUNK), self._length, self._draws))
         self._cursor = 0
         # Kinds of envelope that the lanes' motions have, with the intensity in each physics step.
         self._envelopes: list[Envelope | None] = [None]
@@ -346,7 +347,7 @@ class Excitation:
         if not lanes:
             return
         recorded = [lane for lane in lanes if isinstance(self._motions[lane], RecordedMotion)]
-        noisy = [lane for lane in lanes if not isinstance(self._motions[lane], RecordedMotion)]
+        noisy = sorted(lane for lane in lanes if not isinstance(self._motions[lane], RecordedMotion))
         if recorded:
             self._run_records(np.asarray(recorded), first)
         if noisy:
@@ -385,33 +386,36 @@ class Excitation:
         return found.reshape(-1, steps, k), which.reshape(-1).astype(np.int64)
 
     def _run_filter(self, lanes: IntArray, first: int) -> None:
+        intensity, which = self._shapes(lanes, self._length - first)
+        for start in range(0, len(lanes), CHUNK):
+            part = slice(start, start + CHUNK)
+            self._filter(lanes[part], first, intensity, which[part])
+
+    def _filter(self, lanes: IntArray, first: int, intensity: FloatArray, which: IntArray) -> None:
         steps = self._length - first
-        for lane in lanes.tolist():
+        for lane, drawn in zip(lanes.tolist(), self._noise[:, :steps], strict=False):
             stream = self._streams[lane]
             assert stream is not None  # as _fill sorted them
-            stream.standard_normal(out=self._noise[lane, :steps])
-        intensity, which = self._shapes(lanes, steps)
+            stream.standard_normal(out=drawn)
         amplitude = self._amplitude[lanes]
         run = _compiled_filter()
         if run is not None:
             maps = self.maps.noise if self.maps.noise.ndim == 3 else self.maps.noise[None]
             run(self._store, self._noise, self._tail, maps, lanes, intensity, which, amplitude, first)
             return
-        pick = slice(None) if len(lanes) == len(self._motions) else lanes
-        noise = self._noise[pick, :steps]
+        noise = self._noise[: len(lanes), :steps]
         shaped = noise.reshape(len(lanes), steps, self._discrete.substeps, -1)
-        noise = (shaped * intensity[which][..., None] * amplitude[:, None, None, None]).reshape(
-            noise.shape
-        )
+        shaped = shaped * intensity[which][..., None] * amplitude[:, None, None, None]
+        noise = shaped.reshape(noise.shape)
         step_map = self.maps.pick(lanes).noise
         joined = np.empty((len(lanes), self._exogenous + self._draws))
-        joined[:, : self._exogenous] = self._tail[pick]
+        joined[:, : self._exogenous] = self._tail[lanes]
         for offset, row in enumerate(range(first, self._length)):
             joined[:, self._exogenous :] = noise[:, offset]
             moved = apply(step_map, joined)
-            self._buffer[row, pick] = moved
+            self._buffer[row, lanes] = moved
             joined[:, : self._exogenous] = moved[:, : self._exogenous]
-        self._tail[pick] = joined[:, : self._exogenous]
+        self._tail[lanes] = joined[:, : self._exogenous]
 
     def _run_records(self, lanes: IntArray, first: int) -> None:
         k, dt, rows = self._discrete.substeps, self._discrete.dt, self._rows

@@ -33,13 +33,13 @@ def _run_filter(
     ground
         (length, width, N) the ground ahead, written.
     noise
-        (N, length, draws) of which as many rows are used as there are to fill.
+        (n or more, length, draws) of which as many rows are used as there are to fill.
     tail
         (N, exogenous states) at the filled end, moved on.
     maps
         (1 or N, width, exogenous states + draws): one for all tables, or one for each.
     lanes
-        (n,) which tables.
+        (n,) which tables, in order.
     intensity, which
         (kinds, rows, k) of the motion in each physics step, and (n,) which kind each table has.
     amplitude
@@ -60,13 +60,15 @@ def _run_filter(
                 for i in range(rows):
                     for j in range(states + draws):
                         step[j, i, n] = held[i, j]
+        lane = lanes[start]
+        neighbours = lanes[start + w - 1] - lane == w - 1  # they come in order, each once
         for n in range(w):
             for i in range(states):
                 x[i, n] = tail[lanes[start + n], i]
         for row in range(first, len(ground)):
             offset = row - first
             for n in range(w):
-                drawn, level = noise[lanes[start + n], offset], intensity[which[start + n], offset]
+                drawn, level = noise[start + n, offset], intensity[which[start + n], offset]
                 for j in range(substeps):
                     for i in range(rank):
                         # In this order, to the last bit: intensity, then amplitude.
@@ -74,9 +76,14 @@ def _run_filter(
                         x[states + j * rank + i, n] = shaped
             fill(y, 0.0, w)
             add_product(step, x, y, w)
-            for i in range(rows):
-                for n in range(w):
-                    ground[row, i, lanes[start + n]] = y[i, n]
+            if neighbours:
+                for i in range(rows):
+                    for n in range(w):
+                        ground[row, i, lane + n] = y[i, n]
+            else:
+                for i in range(rows):
+                    for n in range(w):
+                        ground[row, i, lanes[start + n]] = y[i, n]
             for i in range(states):
                 for n in range(w):
                     x[i, n] = y[i, n]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
@@ -46,10 +46,16 @@ class StepResult:
         limit_cost: FloatArray,
         outcome: Callable[[], Outcome],
         ground: Callable[[], GroundPeriod],
+        rows: FloatArray | None = None,
     ) -> None:
         self.observation, self.reward, self.limit_cost = observation, reward, limit_cost
         self.terminated, self.truncated = ends
-        self._outcome, self._ground = outcome, ground
+        self._outcome, self._ground, self._rows = outcome, ground, rows
+
+    @property
+    def report(self) -> Iterable[FloatArray]:
+        """What a step reports, (N,) each, in SI and in the order of `env.INFO_KEYS`."""
+        return step_report(self) if self._rows is None else self._rows
 
     @cached_property
     def outcome(self) -> Outcome:
@@ -234,6 +240,7 @@ class Simulation:
             block[LIMIT_COST],
             lambda: fused.outcome(block),
             lambda: excitation.period(store, row),
+            block[:REWARD],
         )
 
     def step_alone(self, action: float) -> tuple[NDArray[np.float32], list[float], int]:
