@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import statistics
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.timing import seconds_each
 from shake_env import Scenario, make_scenario, nonlinear_dynamics
 from shake_env.fleet import Fleet
 from shake_env.nonlinear_dynamics import ARRAYS, NonlinearDynamics
@@ -56,24 +55,6 @@ def stepper(dynamics: NonlinearDynamics, lanes: int, compiled: bool) -> Callable
     return step
 
 
-def medians(work: dict[str, Callable[[], None]]) -> dict[str, float]:
-    """Return the median seconds a call of each, run in turns."""
-    calls = {}
-    for name, call in work.items():
-        call()
-        begin = time.perf_counter()
-        call()
-        calls[name] = max(1, round(SPELL / (time.perf_counter() - begin)))
-    taken: dict[str, list[float]] = {name: [] for name in work}
-    for _ in range(SPELLS):
-        for name, call in work.items():
-            begin = time.perf_counter()
-            for _ in range(calls[name]):
-                call()
-            taken[name].append((time.perf_counter() - begin) / calls[name])
-    return {name: statistics.median(times) for name, times in taken.items()}
-
-
 def measure() -> dict[str, dict[str, float]]:
     """Return table-steps a second by batch, and plants a second."""
     dynamics = dynamics_of(scenario())
@@ -84,7 +65,9 @@ def measure() -> dict[str, dict[str, float]]:
             for plants, model in (("common", dynamics), ("own", own_matrices(dynamics, lanes)))
             for path in ("reference", "compiled")
         }
-        found[f"{lanes} tables"] = {name: lanes / each for name, each in medians(work).items()}
+        found[f"{lanes} tables"] = {
+            name: lanes / each for name, each in seconds_each(work, SPELL, SPELLS).items()
+        }
     uncertain = replace(scenario(), uncertainty=SPREAD)
     draws = {}
     for lanes in (1, 64, 1024):
@@ -92,7 +75,9 @@ def measure() -> dict[str, dict[str, float]]:
         streams = [np.random.default_rng(lane) for lane in range(lanes)]
         draws[f"drawn {lanes} at once"] = lambda f=fleet, s=streams: f.draw(range(len(s)), s)
     sizes = {name: int(name.split()[1]) for name in draws}
-    found["plants"] = {name: sizes[name] / each for name, each in medians(draws).items()}
+    found["plants"] = {
+        name: sizes[name] / each for name, each in seconds_each(draws, SPELL, SPELLS).items()
+    }
     return found
 
 

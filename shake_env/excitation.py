@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -17,10 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from shake_env import nonlinear_dynamics
 from shake_env.discretization import DiscretePlant
 from shake_env.dynamics import as_like
 from shake_env.errors import ParameterError
 from shake_env.motion import (
+    Envelope,
     EpisodeMotion,
     FilteredNoise,
     RecordedMotion,
@@ -36,6 +38,7 @@ from shake_env.reference import YieldingReference
 Array = Any  # a numpy array or a torch tensor
 IntArray = NDArray[np.intp]
 BLOCK_STEPS = 64  # control periods computed ahead
+CHUNK = 64  # lanes whose draws, a megabyte, are used before they leave the cache
 
 
 @dataclass(frozen=True)
@@ -204,6 +207,21 @@ class GroundMaps:
         return GroundMaps(self.noise[lanes], self.record[lanes], reference)
 
 
+def _compiled_filter() -> Callable[..., None] | None:
+    """Return the compiled filter, or None where it is switched off or numba is not there."""
+    return _load_filter() if nonlinear_dynamics.COMPILED else None
+
+
+@lru_cache(maxsize=1)
+def _load_filter() -> Callable[..., None] | None:
+    try:
+        from shake_env.ground_kernel import run_filter
+    except (ImportError, RuntimeError):  # no numba, or no folder to keep its work in
+        return None
+    found: Callable[..., None] = run_filter
+    return found
+
+
 @lru_cache(maxsize=64)
 def _filter_history(ground: GroundFilter, motion: RecordedMotion, dt: float) -> FloatArray:
     return filter_state(ground, target_history(motion, dt), dt)
@@ -248,9 +266,19 @@ class Excitation:
         self._slipping = np.zeros((lanes, 3 * stories))  # yielding reference at the filled end
         self._last_target = np.zeros(lanes)  # target there
         # Two, in turn: the period handed out last stays what it is when the next block is computed.
-        self._buffer, self._spare = np.zeros((2, self._length, lanes, self._rows.width))
-        self._noise = np.empty((lanes, self._length, self._draws))
+        # Tables lie innermost, so that a step reads each quantity of neighbouring ones in a row.
+        self._store, self._spare = np.zeros((2, self._length, self._rows.width, lanes))
+        self._noise = np.empty((min(lanes, CHUNK), self._length, self._draws))
         self._cursor = 0
+        # Kinds of envelope that the lanes' motions have, with the intensity in each physics step.
+        self._envelopes: list[Envelope | None] = [None]
+        self._intensity: list[FloatArray] = [np.ones(0)]
+        self._kind, self._amplitude = np.zeros(lanes, dtype=np.int64), np.ones(lanes)
+
+    @property
+    def _buffer(self) -> FloatArray:
+        """The ground ahead, (length, N, width), a view."""
+        return self._store.swapaxes(1, 2)
 
     def start(
         self,
@@ -267,6 +295,7 @@ class Excitation:
         initial = np.zeros((len(lanes), self._rows.width))
         for row, (lane, motion, stream) in enumerate(zip(lanes, motions, streams, strict=True)):
             self._motions[lane], self._streams[lane] = motion, stream
+            self._shape(lane, motion)
             self._filled[lane] = 0
             self._tail[lane] = self._slipping[lane] = self._last_target[lane] = 0.0
             if isinstance(motion, RecordedMotion):
@@ -277,32 +306,40 @@ class Excitation:
         if self._cursor == BLOCK_STEPS:
             self._wrap(without=lanes)
         self._fill(list(lanes), self._cursor)
-        return self._rows.period(initial, self._preview(np.asarray(lanes, dtype=int)))
+        preview = self._preview(self._store, self._cursor, np.asarray(lanes, dtype=int))
+        return self._rows.period(initial, preview)
 
     def advance(self) -> GroundPeriod:
         """Return the next control period of every lane, (N, ...); valid until the next call."""
+        return self.period(*self.take())
+
+    def take(self) -> tuple[FloatArray, int]:
+        """Return the ground ahead (length, width, N) and the row in it of the next control period."""
         if self._cursor == BLOCK_STEPS:
             self._wrap()
-        row = self._buffer[self._cursor]
         self._cursor += 1
-        return self._rows.period(row, self._preview())
+        return self._store, self._cursor - 1
+
+    def period(self, store: FloatArray, row: int) -> GroundPeriod:
+        """Return the control period that `take` gave, (N, ...); valid until its next call."""
+        return self._rows.period(store[row].T, self._preview(store, row + 1))
 
     def _wrap(self, without: Sequence[int] = ()) -> None:
         """Move what is already known to the front of the buffer, and fill the rest."""
         self._cursor = 0
-        self._buffer, self._spare = self._spare, self._buffer
-        self._buffer[: self._ahead] = self._spare[BLOCK_STEPS:]
+        self._store, self._spare = self._spare, self._store
+        self._store[: self._ahead] = self._spare[BLOCK_STEPS:]
         begun = [lane for lane, stream in enumerate(self._streams) if stream is not None]
         self._fill([lane for lane in begun if lane not in without], self._ahead)
 
-    def _preview(self, lanes: IntArray | None = None) -> FloatArray | None:
-        """Return the coming target samples (N, samples) of all lanes or some [m/s^2]."""
+    def _preview(
+        self, store: FloatArray, row: int, lanes: IntArray | slice = slice(None)
+    ) -> FloatArray | None:
+        """Return the target samples (lanes, samples) that come from a row on [m/s^2]."""
         if not self._samples:
             return None
-        coming = self._buffer[self._cursor : self._cursor + self._ahead, :, self._rows.target]
-        if lanes is not None:
-            coming = coming[:, lanes]
-        steps = coming.swapaxes(0, 1).reshape(coming.shape[1], -1)
+        coming = store[row : row + self._ahead, self._rows.target, lanes]
+        steps = coming.reshape(-1, coming.shape[-1]).T
         return steps[:, self._spacing - 1 :: self._spacing][:, : self._samples]
 
     def _fill(self, lanes: list[int], first: int) -> None:
@@ -310,39 +347,75 @@ class Excitation:
         if not lanes:
             return
         recorded = [lane for lane in lanes if isinstance(self._motions[lane], RecordedMotion)]
-        noisy = [lane for lane in lanes if not isinstance(self._motions[lane], RecordedMotion)]
+        noisy = sorted(lane for lane in lanes if not isinstance(self._motions[lane], RecordedMotion))
         if recorded:
             self._run_records(np.asarray(recorded), first)
         if noisy:
-            for lane in noisy:
-                self._draw(lane, self._length - first)
             self._run_filter(np.asarray(noisy), first)
         self._filled[lanes] += self._length - first
         if self.maps.yielding is not None:
             self._run_yielding(np.asarray(lanes), first)
 
-    def _draw(self, lane: int, steps: int) -> None:
-        motion, stream, noise = self._motions[lane], self._streams[lane], self._noise[lane, :steps]
-        assert stream is not None and isinstance(motion, FilteredNoise)  # as _fill sorted them
-        stream.standard_normal(out=noise)
-        if motion.envelope is not None:
-            k = self._discrete.substeps
-            begun = (self._filled[lane] + np.arange(steps))[:, None] * k + np.arange(k)
-            intensity = motion.envelope.at((begun + 0.5) * self._discrete.dt)
-            noise.reshape(steps, k, -1)[...] *= intensity[..., None]
-        noise *= motion.amplitude
+    def _shape(self, lane: int, motion: EpisodeMotion) -> None:
+        """Note what shapes the noise of a lane's motion."""
+        envelope = motion.envelope if isinstance(motion, FilteredNoise) else None
+        if envelope not in self._envelopes:
+            self._envelopes.append(envelope)
+            self._intensity.append(np.ones(0))
+        self._kind[lane], self._amplitude[lane] = self._envelopes.index(envelope), motion.amplitude
+
+    def _shapes(self, lanes: IntArray, steps: int) -> tuple[FloatArray, IntArray]:
+        """Return the intensity (kinds, steps, k) of the coming periods, and each lane's kind.
+
+        Lanes at the same place of the same envelope share one.
+        """
+        k, dt = self._discrete.substeps, self._discrete.dt
+        both = np.stack([self._kind[lanes], self._filled[lanes] * k])
+        if (both == both[:, :1]).all():
+            pairs, which = both[:, :1], np.zeros(len(lanes), dtype=np.int64)
+        else:
+            pairs, which = np.unique(both, axis=1, return_inverse=True)
+        found = np.ones((pairs.shape[1], steps * k))
+        for row, (kind, at) in enumerate(pairs.T.tolist()):
+            envelope = self._envelopes[kind]
+            if envelope is not None:
+                if len(self._intensity[kind]) < at + steps * k:
+                    time = (np.arange(2 * (at + steps * k)) + 0.5) * dt
+                    self._intensity[kind] = envelope.at(time)
+                found[row] = self._intensity[kind][at : at + steps * k]
+        return found.reshape(-1, steps, k), which.reshape(-1).astype(np.int64)
 
     def _run_filter(self, lanes: IntArray, first: int) -> None:
-        pick = slice(None) if len(lanes) == len(self._motions) else lanes
+        intensity, which = self._shapes(lanes, self._length - first)
+        for start in range(0, len(lanes), CHUNK):
+            part = slice(start, start + CHUNK)
+            self._filter(lanes[part], first, intensity, which[part])
+
+    def _filter(self, lanes: IntArray, first: int, intensity: FloatArray, which: IntArray) -> None:
+        steps = self._length - first
+        for lane, drawn in zip(lanes.tolist(), self._noise[:, :steps], strict=False):
+            stream = self._streams[lane]
+            assert stream is not None  # as _fill sorted them
+            stream.standard_normal(out=drawn)
+        amplitude = self._amplitude[lanes]
+        run = _compiled_filter()
+        if run is not None:
+            maps = self.maps.noise if self.maps.noise.ndim == 3 else self.maps.noise[None]
+            run(self._store, self._noise, self._tail, maps, lanes, intensity, which, amplitude, first)
+            return
+        noise = self._noise[: len(lanes), :steps]
+        shaped = noise.reshape(len(lanes), steps, self._discrete.substeps, -1)
+        shaped = shaped * intensity[which][..., None] * amplitude[:, None, None, None]
+        noise = shaped.reshape(noise.shape)
         step_map = self.maps.pick(lanes).noise
         joined = np.empty((len(lanes), self._exogenous + self._draws))
-        joined[:, : self._exogenous] = self._tail[pick]
+        joined[:, : self._exogenous] = self._tail[lanes]
         for offset, row in enumerate(range(first, self._length)):
-            joined[:, self._exogenous :] = self._noise[pick, offset]
+            joined[:, self._exogenous :] = noise[:, offset]
             moved = apply(step_map, joined)
-            self._buffer[row, pick] = moved
+            self._buffer[row, lanes] = moved
             joined[:, : self._exogenous] = moved[:, : self._exogenous]
-        self._tail[pick] = joined[:, : self._exogenous]
+        self._tail[lanes] = joined[:, : self._exogenous]
 
     def _run_records(self, lanes: IntArray, first: int) -> None:
         k, dt, rows = self._discrete.substeps, self._discrete.dt, self._rows
@@ -403,6 +476,8 @@ class Excitation:
         """Go on from a `snapshot` of an excitation of the same plant and number of lanes."""
         self._motions = list(snapshot["motions"])
         self._streams = copy.deepcopy(snapshot["streams"])
+        for lane, motion in enumerate(self._motions):
+            self._shape(lane, motion)
         self._filled[:] = snapshot["filled"]
         self._tail[:] = snapshot["tail"]
         self._slipping[:] = snapshot["slipping"]

@@ -191,7 +191,7 @@ class SensorNoise:
         self._bias = layout.sensor_values("bias")
         self.active = bool(self._rms.any() or self._bias.any())
         self._streams: list[np.random.Generator | None] = [None] * lanes
-        self._block = np.zeros((BLOCK_STEPS, lanes, len(self._rms)))
+        self._block = np.zeros((lanes, BLOCK_STEPS, len(self._rms)))
         self._cursor = 0
 
     def start(
@@ -212,26 +212,31 @@ class SensorNoise:
                 self._streams[lane] = own
                 bias[row] = self._bias * own.standard_normal(len(self._bias))
                 noise[row] = self._rms * own.standard_normal(len(self._rms))
-                self._draw(lane, self._cursor)
+            self._draw(list(lanes), self._cursor)
         return bias, noise
 
     def advance(self) -> FloatArray:
         """Return the noise (N, s) of the next reading of every lane; valid until the next call."""
+        block, row = self.take()
+        return block[:, row]
+
+    def take(self) -> tuple[FloatArray, int]:
+        """Return the noise ahead (N, rows, s) and the row in it of the next reading."""
+        if not self.active:
+            return self._block, 0
         if self._cursor == BLOCK_STEPS:
             self._cursor = 0
-            for lane, stream in enumerate(self._streams):
-                if stream is not None:
-                    self._draw(lane, 0)
-        row: FloatArray = self._block[self._cursor]
-        if self.active:
-            self._cursor += 1
-        return row
+            self._draw([lane for lane, stream in enumerate(self._streams) if stream is not None], 0)
+        self._cursor += 1
+        return self._block, self._cursor - 1
 
-    def _draw(self, lane: int, first: int) -> None:
-        stream = self._streams[lane]
-        assert stream is not None  # as the callers checked
-        shape = (BLOCK_STEPS - first, len(self._rms))
-        self._block[first:, lane] = self._rms * stream.standard_normal(shape)
+    def _draw(self, lanes: list[int], first: int) -> None:
+        for lane in lanes:
+            stream = self._streams[lane]
+            assert stream is not None  # as the callers checked
+            stream.standard_normal(out=self._block[lane, first:])
+        everyone = len(lanes) == len(self._streams)
+        self._block[slice(None) if everyone else lanes, first:] *= self._rms
 
     def snapshot(self) -> dict[str, Any]:
         """Return everything that `restore` needs to go on exactly."""

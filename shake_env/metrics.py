@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shake_env.parameters import FloatArray
-from shake_env.simulation import BoolArray, StepResult
+from shake_env.simulation import BoolArray, IntArray, StepResult
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ class Sums:
         self.extremes = np.where(running, np.maximum(self.extremes, now), self.extremes)
 
     def metrics(
-        self, names: Sequence[str], steps: FloatArray, reasons: Sequence[str | None]
+        self, names: Sequence[str], steps: IntArray, reasons: Sequence[str | None]
     ) -> list[EpisodeMetrics]:
         """Return each lane's figures.
 

@@ -221,12 +221,7 @@ class NonlinearDynamics:
         except ImportError:
             return None
         except RuntimeError as problem:  # numba found no folder to keep its work in
-            warnings.warn(
-                f"tables step uncompiled, several times slower: {problem}. Set NUMBA_CACHE_DIR to a "
-                "folder that can be written, or SHAKE_ENV_COMPILED=0",
-                RuntimeWarning,
-                stacklevel=2,
-            )
+            warn_uncompiled(problem)
             return None
         matrices = {name: getattr(self, name) for name in ARRAYS}
         return CompiledStep.of(self.parts, self.stories, matrices)
@@ -309,6 +304,16 @@ class NonlinearDynamics:
             state = xp.concat([state, queue[..., 1:]], axis=-1)
         both = xp.stack(outputs, axis=-2)
         return PeriodResponse(state, both[..., 0], both[..., 1])
+
+
+def warn_uncompiled(problem: Exception) -> None:
+    """Warn that numba is there and cannot be used."""
+    warnings.warn(
+        f"tables step uncompiled, several times slower: {problem}. Set NUMBA_CACHE_DIR to a "
+        "folder that can be written, or SHAKE_ENV_COMPILED=0",
+        RuntimeWarning,
+        stacklevel=3,
+    )
 
 
 def commands_under_way(delay: float, substeps: int) -> int:

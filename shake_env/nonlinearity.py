@@ -216,9 +216,10 @@ class Yielding:
         """Return s' (..., stories) [m/s] from drift [m], its rate [m/s] and slip [m] of each storey."""
         xp = array_api_compat.array_namespace(drift)
         hysteretic = (drift - slip) / self.yield_drift
-        # At |z| = z_y the slip takes all of the drift; a step may overshoot by its own error only.
         loading = xp.where(drift_rate * hysteretic > 0.0, 1.0, 0.0)
-        return drift_rate * loading * xp.abs(hysteretic) ** self.exponent
+        # At |z| = z_y the slip takes all of the drift, so that the exact z goes no further. A step
+        # overshoots by its own error, which a sharp knee would raise to a high power: bounded.
+        return drift_rate * loading * xp.abs(hysteretic).clip(0.0, 1.0) ** self.exponent
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -120,7 +120,7 @@ class Scenario:
     def longest_delay(self) -> float:
         """Longest loop delay [physics steps] that a drawn plant can have."""
         uncertain = self.uncertainty.delay
-        return self.delay if uncertain is None else math.ceil(uncertain.high)
+        return self.delay if uncertain is None else max(self.delay, math.ceil(uncertain.high))
 
     @property
     def substeps(self) -> int:

@@ -2,37 +2,70 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields, replace
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from shake_env import nonlinear_dynamics
 from shake_env.errors import ActionError
 from shake_env.excitation import Excitation, GroundMaps, GroundPeriod, control_steps
 from shake_env.fleet import Fleet
 from shake_env.limits import OBSERVATION_BOUND
 from shake_env.measurement import SensorMemory, SensorNoise
 from shake_env.motion import Motion
+from shake_env.packing import LIMIT_COST, REWARD
 from shake_env.parameters import FloatArray
 from shake_env.scenario import Scenario
 from shake_env.transition import Outcome, TableModel
 
+if TYPE_CHECKING:
+    from shake_env.engine import FusedTables
+
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
 class StepResult:
-    """One control period of N tables."""
+    """One control period of N tables; what is rarely read is made when asked for."""
 
     observation: NDArray[np.float32]  # (N, n) what the sensing shows after the period, fresh memory
     reward: FloatArray  # (N,) minus stage cost, minus the cost of a broken limit
     terminated: BoolArray  # (N,) a limit was broken
     truncated: BoolArray  # (N,) the motion ended, and no limit was broken
-    outcome: Outcome
-    ground: GroundPeriod  # a view of the excitation's buffer: valid until the next step
     limit_cost: FloatArray  # (N,) what a broken limit cost
+
+    def __init__(
+        self,
+        observation: NDArray[np.float32],
+        reward: FloatArray,
+        ends: tuple[BoolArray, BoolArray] | BoolArray,
+        limit_cost: FloatArray,
+        outcome: Callable[[], Outcome],
+        ground: Callable[[], GroundPeriod],
+        rows: FloatArray | None = None,
+    ) -> None:
+        self.observation, self.reward, self.limit_cost = observation, reward, limit_cost
+        self.terminated, self.truncated = ends
+        self._outcome, self._ground, self._rows = outcome, ground, rows
+
+    @property
+    def report(self) -> Iterable[FloatArray]:
+        """What a step reports, (N,) each, in SI and in the order of `env.INFO_KEYS`."""
+        return step_report(self) if self._rows is None else self._rows
+
+    @cached_property
+    def outcome(self) -> Outcome:
+        """What the period brought."""
+        return self._outcome()
+
+    @cached_property
+    def ground(self) -> GroundPeriod:
+        """The ground, a view of the excitation's buffer: valid until the next step."""
+        return self._ground()
 
 
 class Simulation:
@@ -58,15 +91,72 @@ class Simulation:
         preview = scenario.sensing.preview_steps(scenario.control_period, scenario.physics_step)
         self.excitation = Excitation(scenario.discrete, lanes, maps, preview)
         self.noise = SensorNoise(scenario.observation, lanes)
-        self.memory = self.model.measurement.rest(lanes)
-        self.state = np.zeros((lanes, self.model.dynamics.states))  # SI, [x_A, x_S] first
-        self.step_count = np.zeros(lanes, dtype=int)  # control periods since each lane's start
-        self.episode_steps = np.zeros(lanes, dtype=int)
         motionless = scenario.stage_cost.motionless(scenario.plant)
         self._limit_rate = scenario.limits.cost_factor * motionless
-        self._severity = np.ones(lanes)  # motionless cost of each lane's motion over the unit target's
         horizon = scenario.limits.cost_horizon
         self._limit_steps = None if horizon is None else max(1, round(horizon / scenario.control_period))
+        # Without the compiled step, what it would hold.
+        self._own_counters = np.zeros((2, lanes), dtype=np.int64)
+        self._own_severity = np.ones(lanes)
+        self._state = np.zeros((lanes, self.model.dynamics.states))
+        self._memory = self.model.measurement.rest(lanes)
+        self._fused = self._fuse(preview)
+
+    def _fuse(self, preview: tuple[int, int]) -> FusedTables | None:
+        """Return the tables as the compiled step holds them, or None where there is none."""
+        engine = compiled_engine()
+        if engine is None:
+            return None
+        return engine(
+            self.model,
+            self.lanes,
+            limit_rate=self._limit_rate,
+            limit_steps=self._limit_steps,
+            preview=preview,
+        )
+
+    @property
+    def state(self) -> FloatArray:
+        """State of the tables (N, states), SI, [x_A, x_S] first; that of the last step's result."""
+        return self._state if self._fused is None else self._fused.state
+
+    @state.setter
+    def state(self, state: FloatArray) -> None:
+        if self._fused is None:
+            self._state = state
+        else:
+            self._fused.state = state
+
+    @property
+    def memory(self) -> SensorMemory:
+        """What the sensors remember."""
+        return self._memory if self._fused is None else self._fused.memory
+
+    @memory.setter
+    def memory(self, memory: SensorMemory) -> None:
+        if self._fused is None:
+            self._memory = memory
+        else:
+            self._fused.memory = memory
+
+    @property
+    def step_count(self) -> IntArray:
+        """Control periods since each lane's start (N,)."""
+        counters = self._own_counters if self._fused is None else self._fused.counters
+        count: IntArray = counters[0]
+        return count
+
+    @property
+    def episode_steps(self) -> IntArray:
+        """Control periods in each lane's episode (N,)."""
+        counters = self._own_counters if self._fused is None else self._fused.counters
+        steps: IntArray = counters[1]
+        return steps
+
+    @property
+    def _severity(self) -> FloatArray:
+        """Motionless cost of each lane's motion over the unit target's (N,)."""
+        return self._own_severity if self._fused is None else self._fused.own[0]
 
     @property
     def observation_size(self) -> int:
@@ -98,12 +188,15 @@ class Simulation:
         chosen = [motion.pick(stream) for motion, stream in zip(given, streams, strict=True)]
         if self.fleet is not None:
             self.fleet.draw(lanes, streams)
+            if self._fused is not None:
+                self._fused.redrawn(lanes)
         ground = self.excitation.start(lanes, chosen, streams)
         period, physics_step = self.scenario.control_period, self.scenario.physics_step
         index = np.asarray(lanes, dtype=int)
         # A new array: the old one is the state of the last step's result, which a caller may hold.
-        self.state = self.state.copy()
-        self.state[index] = 0.0
+        state = self.state.copy()
+        state[index] = 0.0
+        self.state = state
         self.step_count[index] = 0
         self.episode_steps[index] = [control_steps(m, period, physics_step) for m in chosen]
         # A weak motion lowers what standing still costs, but not what braking a fast table does.
@@ -124,19 +217,56 @@ class Simulation:
             signals = np.zeros((len(lanes), self.scenario.observation.readings_count))
             readings, memory = model.measurement.read(memory, signals, noise, memory.action)
             shown, memory = model.show(readings, ground, memory)
-        kept = {}
+        kept, now = {}, self.memory
         for field in fields(SensorMemory):
-            kept[field.name] = getattr(self.memory, field.name).copy()
+            kept[field.name] = getattr(now, field.name).copy()
             kept[field.name][lanes] = getattr(memory, field.name)
         self.memory = SensorMemory(**kept)
         return shown
 
     def step(self, action: FloatArray) -> StepResult:
         """Advance every table by one control period under `action` (N,), finite."""
+        if self._fused is None:
+            return self._reference_step(action)
+        fused, excitation = self._fused, self.excitation
+        fused.action[:] = action
+        store, row = excitation.take()
+        noise, sample = self.noise.take()
+        seen, block, ends = fused.step(store, noise, row, sample)
+        return StepResult(
+            seen,
+            block[REWARD],
+            ends,
+            block[LIMIT_COST],
+            lambda: fused.outcome(block),
+            lambda: excitation.period(store, row),
+            block[:REWARD],
+        )
+
+    def step_alone(self, action: float) -> tuple[NDArray[np.float32], list[float], int]:
+        """Advance the one table.
+
+        Returns
+        -------
+        observation, report, ends
+            (n,); what `step_report` says, then reward and code of a broken limit, as numbers; 1 if the
+            episode is terminated, 2 if truncated, else 0.
+        """
+        if self._fused is None:
+            result = self._reference_step(np.array([action]))
+            values = (*step_report(result), result.reward, result.outcome.broken)
+            ends = 1 if result.terminated[0] else 2 * int(result.truncated[0])
+            return result.observation[0], [float(value[0]) for value in values], ends
+        self._fused.action[0] = action
+        store, row = self.excitation.take()
+        noise, sample = self.noise.take()
+        return self._fused.step_alone(store, noise, row, sample)
+
+    def _reference_step(self, action: FloatArray) -> StepResult:
         ground = self.excitation.advance()
-        outcome = self.model.transition(self.state, action, ground)
-        self.state = outcome.response.state
-        self.step_count += 1
+        outcome = self.model.transition(self._state, action, ground)
+        self._state = outcome.response.state
+        self.step_count[:] += 1
         terminated = outcome.broken != 0
         truncated = (self.step_count >= self.episode_steps) & ~terminated
         limit_cost = np.zeros(self.lanes)
@@ -145,18 +275,12 @@ class Simulation:
             if self._limit_steps is not None:
                 remaining = np.minimum(remaining, self._limit_steps)
             limit_cost = np.where(terminated, self._limit_rate * self._severity * remaining, 0.0)
-        observation, self.memory = self.model.observe(
-            outcome, ground, action, self.memory, self.noise.advance()
+        observation, self._memory = self.model.observe(
+            outcome, ground, action, self._memory, self.noise.advance()
         )
-        return StepResult(
-            _observation(observation),
-            -(outcome.cost.total + outcome.soft_cost + limit_cost),
-            terminated,
-            truncated,
-            outcome,
-            ground,
-            limit_cost,
-        )
+        reward = -(outcome.cost.total + outcome.soft_cost + limit_cost)
+        seen, ends = _observation(observation), (terminated, truncated)
+        return StepResult(seen, reward, ends, limit_cost, lambda: outcome, lambda: ground)
 
     def snapshot(self) -> dict[str, Any]:
         """Return everything that `restore` needs to go on exactly."""
@@ -167,7 +291,7 @@ class Simulation:
             "episode_steps": self.episode_steps.copy(),
             "severity": self._severity.copy(),
             "noise": self.noise.snapshot(),
-            "memory": self.memory,  # frozen, and never changed in place
+            "memory": self.memory,  # a copy, or frozen and never changed in place
             "fleet": None if self.fleet is None else self.fleet.snapshot(),
         }
 
@@ -175,13 +299,53 @@ class Simulation:
         """Go on from a `snapshot` of a simulation of the same scenario and number of lanes."""
         self.excitation.restore(snapshot["excitation"])
         self.state = snapshot["state"].copy()
-        self.step_count = snapshot["step_count"].copy()
-        self.episode_steps = snapshot["episode_steps"].copy()
-        self._severity = snapshot["severity"].copy()
+        self.step_count[:] = snapshot["step_count"]
+        self.episode_steps[:] = snapshot["episode_steps"]
+        self._severity[:] = snapshot["severity"]
         self.noise.restore(snapshot["noise"])
         self.memory = snapshot["memory"]
         if self.fleet is not None:
             self.fleet.restore(snapshot["fleet"])
+            if self._fused is not None:
+                self._fused.redrawn(range(self.lanes))
+
+
+def step_report(result: StepResult) -> tuple[FloatArray, ...]:
+    """Return what a step reports (N,) each, in SI and in the order of :mod:`packing`'s rows."""
+    outcome, ground = result.outcome, result.ground
+    response, state = outcome.response, outcome.response.state
+    return (
+        response.table_acceleration[:, -1],
+        ground.target[:, -1].copy(),
+        response.base_shear[:, -1],
+        ground.reference_shear[:, -1].copy(),
+        outcome.current,
+        state[:, 1].copy(),  # a view would hand out the table's own state
+        state[:, 2].copy(),
+        state[:, 0].copy(),
+        outcome.cost.acceleration,
+        outcome.cost.force,
+        outcome.cost.current,
+        result.limit_cost,
+        outcome.soft_cost,
+    )
+
+
+@lru_cache(maxsize=1)
+def _load_engine() -> type[FusedTables] | None:
+    try:
+        from shake_env.engine import FusedTables  # numba is an extra, and half a second to import
+    except ImportError:
+        return None
+    except RuntimeError as problem:  # numba found no folder to keep its work in
+        nonlinear_dynamics.warn_uncompiled(problem)
+        return None
+    return FusedTables
+
+
+def compiled_engine() -> type[FusedTables] | None:
+    """Return the compiled tables, or None where they are switched off or numba is not there."""
+    return _load_engine() if nonlinear_dynamics.COMPILED else None
 
 
 def _observation(scaled: FloatArray) -> NDArray[np.float32]:

@@ -10,13 +10,15 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from shake_env.env import INFO_KEYS, motion_option, refuse_rendering, single_spaces, step_info
+from shake_env.env import INFO_KEYS, motion_option, refuse_rendering, single_spaces
 from shake_env.errors import ParameterError, ScenarioError
 from shake_env.limits import REASONS
 from shake_env.overrides import Overrides, make_scenario
 from shake_env.parameters import FloatArray
 from shake_env.scenario import Scenario
 from shake_env.simulation import BoolArray, Simulation, StepResult, checked_action, episode_stream
+
+_KEYS = tuple((key, f"_{key}") for key in INFO_KEYS)  # of a value, and of whether a lane has one
 
 
 class ShakeTableVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
@@ -160,9 +162,10 @@ class ShakeTableVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
 
     def _info(self, result: StepResult, restarted: BoolArray) -> dict[str, Any]:
         info: dict[str, Any] = {}
-        for key, value in step_info(result).items():
-            info[key] = np.where(restarted, 0.0, value) if restarted.any() else value
-            info[f"_{key}"] = np.ones(self.num_envs, dtype=bool)
+        anew, masks = restarted.any(), np.ones((len(INFO_KEYS), self.num_envs), dtype=bool)
+        for (key, mask_key), value, mask in zip(_KEYS, result.report, masks, strict=True):
+            info[key] = np.where(restarted, 0.0, value) if anew else value
+            info[mask_key] = mask
         if result.terminated.any():
             names = np.array([None, *REASONS], dtype=object)
             info["broken_limit"] = names[np.where(result.terminated, result.outcome.broken, 0)]

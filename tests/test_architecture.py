@@ -16,7 +16,8 @@ LAYERS = [
     {"parameters"},
     {"plant", "records"},
     {"discretization", "motion", "objective", "limits", "nonlinearity", "sensing", "uncertainty"},
-    {"dynamics", "preparation", "fields", "compiled"},
+    {"dynamics", "preparation", "fields", "block_kernel"},
+    {"compiled", "ground_kernel"},
     {"nonlinear_dynamics", "measurement"},
     {"reference"},
     {"excitation"},
@@ -24,7 +25,9 @@ LAYERS = [
     {"named", "braking"},
     {"overrides", "supervisor"},
     {"transition"},
-    {"fleet"},
+    {"fleet", "packing"},
+    {"fused"},
+    {"engine"},
     {"simulation"},
     {"metrics", "trajectory", "scene", "pen"},
     {"drawing"},
@@ -80,8 +83,10 @@ def test_agents_leave_control_to_the_baselines(path):
 
 def test_packages_need_nothing_that_is_not_declared():
     declared = {"numpy", "scipy", "gymnasium", "array_api_compat", "shake_env"}
+    compiled = ("block_kernel.py", "compiled.py", "fused.py", "ground_kernel.py")
     optional = {
-        "compiled.py": {"numba"}, "rendering.py": {"pygame"}, "drawing.py": {"PIL"}, "pen.py": {"PIL"},
+        "rendering.py": {"pygame"}, "drawing.py": {"PIL"}, "pen.py": {"PIL"},
+        **{name: {"numba"} for name in compiled},
     }  # fmt: skip
     for path in sources("shake_env"):
         allowed = declared | optional.get(path.name, set()) | sys.stdlib_module_names

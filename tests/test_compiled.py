@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shake_env import make_scenario, nonlinear_dynamics
-from shake_env.compiled import BLOCK, _expm1, _tanh
+from shake_env.block_kernel import BLOCK, expm1, tanh
 from shake_env.nonlinear_dynamics import ARRAYS, NonlinearDynamics, controlled_scale
 from shake_env.nonlinearity import Friction, Nonlinearity, ServoValve, StrokeStops, Yielding
 from shake_env.plant import REFERENCE_CURRENT
@@ -223,10 +223,10 @@ def test_a_fleet_steps_compiled_and_sees_its_redrawn_plants():
 
 def test_elementary_functions_are_good_to_rounding():
     x = np.concatenate([np.geomspace(1e-300, 60.0, 20001), [0.0, np.inf]])
-    ours = np.array([_tanh(value) for value in np.concatenate([x, -x])])
+    ours = np.array([tanh(value) for value in np.concatenate([x, -x])])
     np.testing.assert_allclose(ours, np.tanh(np.concatenate([x, -x])), rtol=3e-15, atol=0.0)
-    np.testing.assert_allclose([_expm1(-value) for value in x], np.expm1(-x), rtol=3e-15, atol=0.0)
-    assert math.isnan(_tanh(math.nan))
+    np.testing.assert_allclose([expm1(-value) for value in x], np.expm1(-x), rtol=3e-15, atol=0.0)
+    assert math.isnan(tanh(math.nan))
 
 
 def test_numba_is_imported_only_for_a_nonlinear_step():

@@ -361,3 +361,13 @@ def test_amplitude_does_not_change_the_draws():
         excitation.start([0], [FilteredNoise(amplitude=amplitude)], [np.random.default_rng(0)])
         histories.append(joined([taken(excitation) for _ in range(100)])["target"])
     assert histories[1] == pytest.approx(0.5 * histories[0], rel=1e-12, abs=1e-15)
+
+
+def test_the_order_in_which_lanes_begin_does_not_matter():
+    discrete = make_scenario().discrete
+    found = []
+    for order in ([0, 1, 2, 3], [0, 2, 1, 3]):
+        excitation = Excitation(discrete, 4)
+        excitation.start(order, [FilteredNoise()] * 4, [np.random.default_rng(lane) for lane in order])
+        found.append(excitation.advance().target.copy())
+    np.testing.assert_array_equal(*found)

@@ -1,6 +1,7 @@
 """What a controller is shown: readings against signals, preview against what comes, lanes as alone."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -36,7 +37,8 @@ def follow(scenario, steps, lanes=1, seeds=None, motions=None, size=0.05):
         result = simulation.step(np.full(lanes, actions[-1]))
         # The ground is a view that later steps write over.
         ground = replace(result.ground, target=result.ground.target.copy())
-        results.append(replace(result, ground=ground))
+        kept = {name: getattr(result, name) for name in ("observation", "reward", "outcome")}
+        results.append(SimpleNamespace(**kept, ground=ground))
     observations = np.array([result.observation for result in results], dtype=float)
     return simulation, first, observations, results, np.array(actions)
 
