@@ -1,8 +1,8 @@
 """The controller that knows too much: true plant, full state, half a second of the target, no delay.
 
 Regret is counted from what it reaches. On a linear plant it is within its preview of the best that any
-controller could do; with friction, limits or yielding storeys it is a linear law that knows everything,
-and a better one may exist. Where the stroke is limited it also minds its place.
+controller could do; with friction, limits or yielding storeys it is a law that knows everything, with the
+engineer's feed-forward, and a better one may exist. Where the stroke is limited it also minds its place.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.feedforward import FeedforwardLQR
 from baselines.preview_lqr import PreviewFeedback, preview_lqr
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError
@@ -101,6 +102,31 @@ class _Rows:
         return action[..., None].astype(np.float32), None
 
 
+class _Rescaled:
+    """A controller of one lane that reads observations over another plant's scale."""
+
+    def __init__(self, controller: Controller, factor: NDArray[np.float64]) -> None:
+        self._controller, self._factor = controller, factor
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: tuple[Any, ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
+        scaled = (observation * self._factor).astype(np.float32)
+        return self._controller.predict(scaled, state, episode_start, deterministic)
+
+
+def _rescaled(seen: Scenario, plant: Scenario) -> NDArray[np.float64]:
+    """Return what turns the nominal plant's observation (n,) into that of a drawn one."""
+    factor = np.ones(seen.observation.size)
+    scale = seen.plant.state_scale
+    factor[: len(scale)] = scale / plant.plant.state_scale
+    return factor
+
+
 def clairvoyant(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[Scenario, Controller]:
     """Return the scenario to run the clairvoyant on, and the clairvoyant of these earthquakes.
 
@@ -113,20 +139,20 @@ def clairvoyant(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[
     """
     seen = seen_through(scenario)
     plants = true_plants(seen, earthquakes)
-    nominal = seen.plant.state_scale
+    parts = scenario.nonlinearity
+    if parts.friction.active or parts.valve.flow_active:
+        if not seen.uncertainty.active:
+            return seen, FeedforwardLQR(seen, position=FRICTION_POSITION)
+        laws = [FeedforwardLQR(plant, position=FRICTION_POSITION) for plant in plants]
+        scales = np.stack([_rescaled(seen, plant) for plant in plants])
+        return seen, PerLane([_Rescaled(law, row) for law, row in zip(laws, scales, strict=True)])
     rows: dict[Any, NDArray[np.float64]] = {}
     for plant in plants:
         key = (plant.actuator, plant.specimen)
         if key not in rows:
-            # Observations are over the nominal plant's scale, whatever plant was drawn.
             position = None
             if plant.limits.table_displacement is not None and plant.ground.states == 4:
                 position = FRICTION_POSITION if plant.nonlinearity.active else POSITION
             design = preview_lqr(plant.discrete, plant.stage_cost, PREVIEW, position=position)
-            row = PreviewFeedback(plant, design).row.copy()
-            row[: len(nominal)] *= nominal / plant.plant.state_scale
-            row[seen.observation.preview] *= np.sqrt(
-                seen.plant.target_variance / plant.plant.target_variance
-            )
-            rows[key] = row
+            rows[key] = PreviewFeedback(plant, design).row * _rescaled(seen, plant)
     return seen, _Rows(np.stack([rows[plant.actuator, plant.specimen] for plant in plants]))
