@@ -1,9 +1,10 @@
-"""A search of linear laws outside the catalogue: is the best classical controller beaten by blind search?
+"""A blind search of linear laws outside the catalogue: does it beat the best classical controller.
 
-Every entry of the observation, with readings of the last periods where signals are shown, gets a weight;
-the covariance matrix adaptation evolution strategy (Hansen and Ostermeier, 2001; the package `cma`)
-searches all weights at once for least mean cost on validation earthquakes. It knows nothing of the model.
-Two starts: the table that does nothing, and a least-squares copy of a catalogued controller's actions.
+Every entry of the observation, with readings of the last periods where signals are shown, gets a
+weight; the covariance matrix adaptation evolution strategy (Hansen and Ostermeier, 2001; the package
+`cma`) searches all weights at once for least mean cost on validation earthquakes. It knows nothing of
+the model. Two starts: the table that does nothing, and a least-squares copy of a catalogued
+controller's actions.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.tune import VALIDATION_SEED
-from baselines.registry import make_baseline
+from baselines.registry import make_baseline, reference_name
 from shake_env.controller import Controller
 from shake_env.errors import ShakeError
 from shake_env.motion import FilteredNoise
@@ -114,23 +115,30 @@ def search(
         each = np.array([row.cost for row in found]).reshape(len(laws), len(quakes))
         return np.nan_to_num(each.mean(axis=1), nan=1e6, posinf=1e6)
 
-    first = np.zeros(size) if start == "nothing" else imitation(start, scenario, shown, quakes)
+    # Weights count in parts of an action: each entry over its spread under a controller that works.
+    copied, spread = imitation(
+        copy_of(scenario) if start == "nothing" else start, scenario, shown, quakes
+    )
+    first = np.zeros(size) if start == "nothing" else copied
     begun = float(costs(first[None])[0])
     options = {"seed": seed + 1, "popsize": population, "verbose": -9, "CMA_diagonal": generations // 3}
-    strategy = cma.CMAEvolutionStrategy(first, 0.02 if start == "nothing" else 0.003, options)
+    strategy = cma.CMAEvolutionStrategy(first * spread, 0.03 if start == "nothing" else 0.003, options)
     best, best_cost = first, begun
     for done in range(1, generations + 1):
-        laws = np.asarray(strategy.ask())
+        asked = strategy.ask()
+        laws = np.asarray(asked) / spread
         found = costs(laws)
-        strategy.tell(list(laws), found.tolist())
+        strategy.tell(asked, found.tolist())
         if found.min() < best_cost:
             best, best_cost = laws[int(found.argmin())], float(found.min())
         on_generation(done, best_cost)
     return SearchResult(scenario.name, start, best, begun, best_cost, generations * population)
 
 
-def imitation(name: str, scenario: Scenario, shown: Scenario, quakes: list[Earthquake]) -> FloatArray:
-    """Return the linear law (n,) over `shown`'s observation that repeats a controller's actions best."""
+def imitation(
+    name: str, scenario: Scenario, shown: Scenario, quakes: list[Earthquake]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the linear law (n,) that repeats a controller's actions best, and each entry's spread (n,)."""
     controller: Controller = make_baseline(name, scenario)
     streams = [np.random.default_rng(quake.seed) for quake in quakes]
     simulation = Simulation(shown, len(quakes))
@@ -148,7 +156,12 @@ def imitation(name: str, scenario: Scenario, shown: Scenario, quakes: list[Earth
     ridge = 1e-4 * len(inputs) * np.eye(inputs.shape[1])
     scaled = inputs / scale
     row: FloatArray = np.linalg.solve(scaled.T @ scaled + ridge, scaled.T @ outputs) / scale
-    return row
+    return row, scale
+
+
+def copy_of(scenario: Scenario) -> str:
+    """Return the controller whose signals set the scale of a search."""
+    return reference_name(scenario)
 
 
 def _shortened(quake: Earthquake) -> Earthquake:

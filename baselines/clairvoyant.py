@@ -1,8 +1,8 @@
 """The controller that knows too much: true plant, full state, half a second of the target, no delay.
 
 Regret is counted from what it reaches. On a linear plant it is within its preview of the best that any
-controller could do; with friction, limits or yielding storeys it is a law that knows everything, with the
-engineer's feed-forward, and a better one may exist. Where the stroke is limited it also minds its place.
+controller could do; with friction, limits or yielding storeys it is a law that knows everything, with
+the engineer's feed-forward, and a better one may exist. Where the stroke is limited it minds its place.
 """
 
 from __future__ import annotations
