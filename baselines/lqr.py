@@ -41,6 +41,25 @@ class StationaryPerformance:
     base_shear_rms_ratio: float  # relative to the reference's rms [-]
     current_rms: float  # [A]
 
+    @classmethod
+    def of(
+        cls,
+        plant: CoupledPlant,
+        cost: StageCost,
+        acceleration: float,
+        shear: float,
+        current: float,
+    ) -> StationaryPerformance:
+        """Put the mean squares of both errors [(m/s^2)^2, N^2] and the current [A^2] together."""
+        return cls(
+            cost=float(cost.acceleration * acceleration + cost.force * shear + cost.current * current),
+            acceleration_rms=float(np.sqrt(acceleration)),
+            base_shear_rms=float(np.sqrt(shear)),
+            acceleration_rms_ratio=float(np.sqrt(acceleration / plant.target_variance)),
+            base_shear_rms_ratio=float(np.sqrt(shear / plant.reference_shear_variance)),
+            current_rms=float(np.sqrt(current)),
+        )
+
 
 def action_row(scenario: Scenario, gain: FloatArray) -> FloatArray:
     """Return ``u = -gain @ x`` as a row: fraction of the current limit per observation entry.
@@ -118,8 +137,8 @@ def observable_states(plant: CoupledPlant) -> IntArray:
 
 
 @dataclass(frozen=True)
-class _ScaledProblem:
-    """The lifted problem on observable, scaled states and a scaled current."""
+class ScaledProblem:
+    """The lifted problem on observable, scaled states and a current in units of REFERENCE_CURRENT."""
 
     F: FloatArray  # (m, m)
     G: FloatArray  # (m, 1)
@@ -131,10 +150,11 @@ class _ScaledProblem:
     scale: FloatArray  # (m,)
 
     @classmethod
-    def of(cls, discrete: DiscretePlant) -> _ScaledProblem:
+    def of(cls, discrete: DiscretePlant, kept: IntArray | None = None) -> ScaledProblem:
+        """Scale the lifted plant; `kept` None leaves an unobservable position out."""
         plant, lifted = discrete.plant, discrete.lifted
         n = plant.layout.order
-        kept = observable_states(plant)
+        kept = observable_states(plant) if kept is None else kept
         scale = plant.state_scale[kept]
         errors = lifted.outputs[:, [0, 1]] - lifted.outputs[:, [2, 3]]
         return cls(
@@ -148,6 +168,44 @@ class _ScaledProblem:
             scale=scale,
         )
 
+    def stage(self, cost: StageCost) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return Q, R, S, (m, m), (1, 1) and (m, 1), of the expected stage ``x'Qx + u'Ru + 2 x'Su``."""
+        weights = np.array([cost.acceleration, cost.force]) / len(self.Z_x)
+        Q = np.einsum("o,koi,koj->ij", weights, self.Z_x, self.Z_x)
+        S = np.einsum("o,koi,koj->ij", weights, self.Z_x, self.Z_u)
+        R = np.einsum("o,koi,koj->ij", weights, self.Z_u, self.Z_u)
+        return Q, R + cost.current * REFERENCE_CURRENT**2, S
+
+    def unreached(self, cost: StageCost) -> float:
+        """Return the part of the stage cost that the noise within a period makes, whatever the law."""
+        acceleration, force = np.sum(self.Z_d**2, axis=(0, 2)) / len(self.Z_d)
+        return float(cost.acceleration * acceleration + cost.force * force)
+
+
+def riccati(
+    F: FloatArray, G: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return P and K, (m, m) and (inputs, m), of the LQ problem with stage ``x'Qx + 2 x'Su + u'Ru``.
+
+    Raises
+    ------
+    NumericalError
+        If there is no stabilising solution, or it fails its residual check.
+    """
+    try:
+        P = solve_discrete_are(F, G, Q, R, s=S)
+    except (ValueError, np.linalg.LinAlgError) as error:  # scipy raises either
+        raise NumericalError("Riccati equation", str(error), _NO_SOLUTION) from error
+    K: FloatArray = np.linalg.solve(R + G.T @ P @ G, G.T @ P @ F + S.T)
+    residual = F.T @ P @ F - P + Q - (F.T @ P @ G + S) @ K
+    if not np.max(np.abs(residual)) <= 1e-8 * np.max(np.abs(P)):
+        raise NumericalError("Riccati residual", float(np.max(np.abs(residual))), "is too large")
+    # A pole on the unit circle that no current reaches lands on either side of it by rounding.
+    radius = float(np.max(np.abs(np.linalg.eigvals(F - G @ K))))
+    if not radius < 1.0 - 1e-10:
+        raise NumericalError("Riccati equation's closed-loop radius", radius, _NO_SOLUTION)
+    return P, K
+
 
 def sampled_lqr(discrete: DiscretePlant, cost: StageCost) -> LQRDesign:
     """Design the LQR that minimises the stationary expected stage cost.
@@ -157,28 +215,13 @@ def sampled_lqr(discrete: DiscretePlant, cost: StageCost) -> LQRDesign:
     NumericalError
         If the Riccati solution fails its residual, stability or cost check.
     """
-    p = _ScaledProblem.of(discrete)
-    k = discrete.substeps
-    weights = np.sqrt([cost.acceleration, cost.force])[None, :, None]
-    Z_x, Z_u, Z_d = p.Z_x * weights, p.Z_u * weights, p.Z_d * weights
-    Q = np.einsum("koi,koj->ij", Z_x, Z_x) / k
-    S = np.einsum("koi,koj->ij", Z_x, Z_u) / k
-    R = np.einsum("koi,koj->ij", Z_u, Z_u) / k + cost.current * REFERENCE_CURRENT**2
-    try:
-        P = solve_discrete_are(p.F, p.G, Q, R, s=S)
-    except (ValueError, np.linalg.LinAlgError) as error:  # scipy raises either
-        raise NumericalError("Riccati equation", str(error), _NO_SOLUTION) from error
-    K = np.linalg.solve(R + p.G.T @ P @ p.G, p.G.T @ P @ p.F + S.T)
-    residual = p.F.T @ P @ p.F - P + Q - (p.F.T @ P @ p.G + S) @ K
-    if not np.max(np.abs(residual)) <= 1e-8 * np.max(np.abs(P)):
-        raise NumericalError("Riccati residual", float(np.max(np.abs(residual))), "is too large")
+    p = ScaledProblem.of(discrete)
+    Q, R, S = p.stage(cost)
+    P, K = riccati(p.F, p.G, Q, R, S)
     gain = np.zeros(discrete.layout.order)
     gain[p.kept] = K[0] * REFERENCE_CURRENT / p.scale
-    analytic = float(np.einsum("id,ij,jd->", p.N, P, p.N) + np.sum(Z_d**2) / k)
-    try:
-        performance = stationary_performance(discrete, cost, gain)
-    except NumericalError as error:  # what the Riccati solver took for stabilising to rounding is not
-        raise NumericalError("Riccati equation", str(error), _NO_SOLUTION) from error
+    analytic = float(np.einsum("id,ij,jd->", p.N, P, p.N)) + p.unreached(cost)
+    performance = stationary_performance(discrete, cost, gain)
     if not abs(performance.cost - analytic) <= 1e-6 * analytic:
         raise NumericalError(
             "J*", analytic, f"differs from the closed loop's Lyapunov cost {performance.cost!r}"
@@ -205,7 +248,7 @@ def stationary_performance(
         raise ParameterError("gain shape", gain.shape, f"must be ({discrete.layout.order},)")
     if not np.isfinite(gain).all():
         raise ParameterError("gain", gain, "must be finite")
-    p, plant = _ScaledProblem.of(discrete), discrete.plant
+    p, plant = ScaledProblem.of(discrete), discrete.plant
     K = (gain[p.kept] * p.scale / REFERENCE_CURRENT)[None, :]
     closed = p.F - p.G @ K
     radius = float(np.max(np.abs(np.linalg.eigvals(closed))))
@@ -216,11 +259,4 @@ def stationary_performance(
     variance = np.einsum("koi,ij,koj->o", Z, covariance, Z) + np.sum(p.Z_d**2, axis=(0, 2))
     acceleration, shear = variance / discrete.substeps
     current = float(K[0] @ covariance @ K[0]) * REFERENCE_CURRENT**2
-    return StationaryPerformance(
-        cost=float(cost.acceleration * acceleration + cost.force * shear + cost.current * current),
-        acceleration_rms=float(np.sqrt(acceleration)),
-        base_shear_rms=float(np.sqrt(shear)),
-        acceleration_rms_ratio=float(np.sqrt(acceleration / plant.target_variance)),
-        base_shear_rms_ratio=float(np.sqrt(shear / plant.reference_shear_variance)),
-        current_rms=float(np.sqrt(current)),
-    )
+    return StationaryPerformance.of(plant, cost, acceleration, shear, current)

@@ -1,7 +1,8 @@
 """Continuous to discrete, in one place: exact zero- and first-order hold, exact noise covariance.
 
 Everything comes in and goes out in SI; inside, states are scaled (`CoupledPlant.state_scale`), because
-SI states span ten decades and a matrix exponential of the raw matrices loses that many digits.
+SI states span ten decades and a matrix exponential of the raw matrices loses that many digits. Leading
+axes of a model are a batch of plants.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ from shake_env.plant import CoupledPlant, StateLayout, StateSpace, check_shapes
 class DiscreteStateSpace:
     """Discrete linear model ``x[j+1] = A x[j] + B u[j]``, ``y[j] = C x[j] + D u[j]`` (SI)."""
 
-    A: FloatArray  # (n, n)
-    B: FloatArray  # (n, inputs)
-    C: FloatArray  # (outputs, n)
-    D: FloatArray  # (outputs, inputs)
+    A: FloatArray  # (..., n, n)
+    B: FloatArray  # (..., n, inputs)
+    C: FloatArray  # (..., outputs, n)
+    D: FloatArray  # (..., outputs, inputs)
     dt: float  # [s]
 
     def __post_init__(self) -> None:
@@ -34,7 +35,7 @@ class DiscreteStateSpace:
     @property
     def order(self) -> int:
         """Number of states n."""
-        return int(self.A.shape[0])
+        return int(self.A.shape[-1])
 
 
 def _check_step(dt: float) -> None:
@@ -52,16 +53,17 @@ def zero_order_hold(system: StateSpace, dt: float, scale: FloatArray) -> Discret
     dt
         Step [s].
     scale
-        (n,) size of each state, for the arithmetic only.
+        (..., n) size of each state, for the arithmetic only.
     """
     _check_step(dt)
-    n, inputs = system.B.shape
-    generator = np.zeros((n + inputs, n + inputs))
-    generator[:n, :n] = system.A * scale / scale[:, None]
-    generator[:n, n:] = system.B / scale[:, None]
+    *batch, n, inputs = system.B.shape
+    row, column = scale[..., None, :], scale[..., None]
+    generator = np.zeros((*batch, n + inputs, n + inputs))
+    generator[..., :n, :n] = system.A * row / column
+    generator[..., :n, n:] = system.B / column
     power = expm(generator * dt)
-    A = power[:n, :n] * scale[:, None] / scale
-    return DiscreteStateSpace(A, power[:n, n:] * scale[:, None], system.C, system.D, dt)
+    A = power[..., :n, :n] * column / row
+    return DiscreteStateSpace(A, power[..., :n, n:] * column, system.C, system.D, dt)
 
 
 def first_order_hold(
@@ -74,55 +76,63 @@ def first_order_hold(
     model
         ``x[j+1] = A x[j] + B u[j] + B_next u[j+1]``; its ``B`` multiplies the present sample.
     B_next
-        (n, inputs) what multiplies the next sample.
+        (..., n, inputs) what multiplies the next sample.
     """
     _check_step(dt)
-    n, inputs = system.B.shape
-    generator = np.zeros((n + 2 * inputs, n + 2 * inputs))
-    generator[:n, :n] = system.A * scale / scale[:, None] * dt
-    generator[:n, n : n + inputs] = system.B / scale[:, None] * dt
-    generator[n : n + inputs, n + inputs :] = np.eye(inputs)
+    *batch, n, inputs = system.B.shape
+    row, column = scale[..., None, :], scale[..., None]
+    generator = np.zeros((*batch, n + 2 * inputs, n + 2 * inputs))
+    generator[..., :n, :n] = system.A * row / column * dt
+    generator[..., :n, n : n + inputs] = system.B / column * dt
+    generator[..., n : n + inputs, n + inputs :] = np.eye(inputs)
     power = expm(generator)
-    A = power[:n, :n] * scale[:, None] / scale
-    level = power[:n, n : n + inputs] * scale[:, None]
-    slope = power[:n, n + inputs :] * scale[:, None]
+    A = power[..., :n, :n] * column / row
+    level = power[..., :n, n : n + inputs] * column
+    slope = power[..., :n, n + inputs :] * column
     return DiscreteStateSpace(A, level - slope, system.C, system.D, dt), slope
 
 
 def noise_covariance(A: FloatArray, B: FloatArray, dt: float, scale: FloatArray) -> FloatArray:
     """Return the covariance that white noise of unit intensity leaves in the state after one step.
 
-    ``integral_0^dt exp(A s) B B' exp(A' s) ds`` by Van Loan (IEEE TAC 23, 1978), (n, n) in SI.
+    ``integral_0^dt exp(A s) B B' exp(A' s) ds`` by Van Loan (IEEE TAC 23, 1978), (..., n, n) in SI.
     """
     _check_step(dt)
-    n = A.shape[0]
-    A_scaled = A * scale / scale[:, None]
-    B_scaled = B / scale[:, None]
-    generator = np.zeros((2 * n, 2 * n))
-    generator[:n, :n] = -A_scaled
-    generator[:n, n:] = B_scaled @ B_scaled.T
-    generator[n:, n:] = A_scaled.T
+    *batch, n, _ = A.shape
+    row, column = scale[..., None, :], scale[..., None]
+    A_scaled, B_scaled = A * row / column, B / column
+    generator = np.zeros((*batch, 2 * n, 2 * n))
+    generator[..., :n, :n] = -A_scaled
+    generator[..., :n, n:] = B_scaled @ _transposed(B_scaled)
+    generator[..., n:, n:] = _transposed(A_scaled)
     power = expm(generator * dt)
-    covariance: FloatArray = power[n:, n:].T @ power[:n, n:]
-    return 0.5 * (covariance + covariance.T) * np.outer(scale, scale)
+    covariance: FloatArray = _transposed(power[..., n:, n:]) @ power[..., :n, n:]
+    return 0.5 * (covariance + _transposed(covariance)) * (column * row)
 
 
-def noise_factor(covariance: FloatArray, scale: FloatArray) -> FloatArray:
-    """Return L, (n, rank) in SI, with ``L @ L.T`` equal to the covariance to rounding.
+def _transposed(matrix: FloatArray) -> FloatArray:
+    return np.swapaxes(matrix, -1, -2)
+
+
+def noise_factor(covariance: FloatArray, scale: FloatArray, directions: int | None = None) -> FloatArray:
+    """Return L, (..., n, rank) in SI, with ``L @ L.T`` equal to the covariance to rounding.
 
     The covariance of one short step is nearly singular (state i + 1 receives dt^2 less than state i);
-    directions whose variance is below rounding of the largest carry no information and are dropped.
+    directions whose variance is below rounding of the largest carry no information and are dropped. How
+    many those are differs from plant to plant: a batch names the number of `directions`, strongest last,
+    of which dropped ones have no weight.
     """
-    scaled = covariance / np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(scaled)
-    largest = values[-1]
-    if largest == 0.0:
-        return np.zeros((len(scale), 0))
-    if values[0] < -1e-9 * largest:
-        raise NumericalError("noise covariance", float(values[0]), "is not positive semi-definite")
+    row, column = scale[..., None, :], scale[..., None]
+    values, vectors = np.linalg.eigh(covariance / (column * row))
+    largest = values[..., -1:]
+    if np.any(values[..., :1] < -1e-9 * largest):
+        raise NumericalError("noise covariance", float(values.min()), "is not positive semi-definite")
     keep = values > np.finfo(float).eps * largest
-    factor: FloatArray = vectors[:, keep] * np.sqrt(values[keep]) * scale[:, None]
-    return factor
+    if directions is None:
+        factor: FloatArray = vectors[:, keep] * np.sqrt(values[keep]) * column
+        return factor
+    weights = np.sqrt(np.where(keep, values, 0.0))[..., -directions:]
+    return vectors[..., -directions:] * weights[..., None, :] * column
 
 
 @dataclass(frozen=True)
@@ -133,8 +143,8 @@ class LiftedModel:
     disturbance samples of the period in order of time. Outputs are taken after each physics step.
     """
 
-    state: FloatArray  # (n, n + 1 + m): the state at the period's end
-    outputs: FloatArray  # (substeps, outputs, n + 1 + m)
+    state: FloatArray  # (..., n, n + 1 + m): the state at the period's end
+    outputs: FloatArray  # (..., substeps, outputs, n + 1 + m)
 
 
 def lift(
@@ -150,27 +160,27 @@ def lift(
     model
         Physics step; the first column of its B is the held control, D is zero.
     disturbance
-        (n, r) what multiplies the disturbance sample at the start of a step.
+        (..., n, r) what multiplies the disturbance sample at the start of a step.
     substeps
         Physics steps per control period.
     disturbance_next
-        (n, r) what multiplies the sample at the step's end (first-order hold); then `d` holds
+        (..., n, r) what multiplies the sample at the step's end (first-order hold); then `d` holds
         ``substeps + 1`` samples instead of `substeps`.
     """
-    n, rank = disturbance.shape
+    *batch, n, rank = disturbance.shape
     samples = substeps + (disturbance_next is not None)
-    running = np.zeros((n, n + 1 + samples * rank))
-    running[:, :n] = np.eye(n)
+    running = np.zeros((*batch, n, n + 1 + samples * rank))
+    running[..., :n] = np.eye(n)
     outputs = []
     for j in range(substeps):
         running = model.A @ running
-        running[:, n] += model.B[:, 0]
+        running[..., n] += model.B[..., 0]
         first = n + 1 + j * rank
-        running[:, first : first + rank] += disturbance
+        running[..., first : first + rank] += disturbance
         if disturbance_next is not None:
-            running[:, first + rank : first + 2 * rank] += disturbance_next
+            running[..., first + rank : first + 2 * rank] += disturbance_next
         outputs.append(model.C @ running)
-    return LiftedModel(running, np.stack(outputs))
+    return LiftedModel(running, np.stack(outputs, axis=-3))
 
 
 @dataclass(frozen=True)
@@ -184,6 +194,7 @@ class DiscretePlant:
     plant: CoupledPlant
     dt: float  # physics step [s]
     substeps: int  # physics steps per control period
+    directions: int | None = None  # noise draws a physics step; None: as many as lie above rounding
 
     def __post_init__(self) -> None:
         _check_step(self.dt)
@@ -199,14 +210,15 @@ class DiscretePlant:
     def model(self) -> DiscreteStateSpace:
         """One physics step: input u, outputs ``[y_A, f_s, y~, f~_s]``, states as the coupled plant."""
         coupled = self.plant.coupled
-        held = StateSpace(coupled.A, coupled.B[:, :1], coupled.C, coupled.D[:, :1])
+        held = StateSpace(coupled.A, coupled.B[..., :1], coupled.C, coupled.D[..., :1])
         return zero_order_hold(held, self.dt, self.plant.state_scale)
 
     @cached_property
     def noise(self) -> FloatArray:
-        """(n, rank) factor of the exact covariance that w leaves in the state after one step."""
+        """(..., n, rank) factor of the exact covariance that w leaves in the state after one step."""
         coupled, scale = self.plant.coupled, self.plant.state_scale
-        return noise_factor(noise_covariance(coupled.A, coupled.B[:, 1:], self.dt, scale), scale)
+        covariance = noise_covariance(coupled.A, coupled.B[..., 1:], self.dt, scale)
+        return noise_factor(covariance, scale, self.directions)
 
     @cached_property
     def lifted(self) -> LiftedModel:
@@ -220,9 +232,9 @@ class DiscretePlant:
         States ``[x_A, x_S, x~_S]``, outputs ``[y_A, f_s, f~_s]``, and ``d`` the ``substeps + 1``
         samples of y~ at the ends of the physics steps.
         """
-        scale = self.plant.state_scale[self.layout.filter_states :]
+        scale = self.plant.state_scale[..., self.layout.filter_states :]
         model, B_next = first_order_hold(self.plant.driven, self.dt, scale)
         held = DiscreteStateSpace(
-            model.A, model.B[:, :1] + B_next[:, :1], model.C, model.D[:, :1], self.dt
+            model.A, model.B[..., :1] + B_next[..., :1], model.C, model.D[..., :1], self.dt
         )
-        return lift(held, model.B[:, 1:], self.substeps, B_next[:, 1:])
+        return lift(held, model.B[..., 1:], self.substeps, B_next[..., 1:])

@@ -30,6 +30,7 @@ from shake_env.motion import (
 from shake_env.nonlinear_dynamics import apply
 from shake_env.nonlinearity import Yielding
 from shake_env.parameters import FloatArray, GroundFilter
+from shake_env.plant import submatrix
 from shake_env.reference import YieldingReference
 
 Array = Any  # a numpy array or a torch tensor
@@ -122,19 +123,19 @@ def _noise_map(discrete: DiscretePlant) -> FloatArray:
     """Return the map ``[x_W, x~_S, draws] -> row`` of one control period."""
     layout, lifted = discrete.layout, discrete.lifted
     exogenous = np.r_[layout.ground, layout.reference]
-    columns = np.r_[exogenous, layout.order + 1 : lifted.state.shape[1]]
+    columns = np.r_[exogenous, layout.order + 1 : lifted.state.shape[-1]]
     blocks = [
-        lifted.state[np.ix_(exogenous, columns)],
-        lifted.outputs[:, 2, columns],
-        lifted.outputs[:, 3, columns],
+        submatrix(lifted.state, exogenous, columns),
+        lifted.outputs[..., 2, columns],
+        lifted.outputs[..., 3, columns],
     ]
     if discrete.plant.equations.specimen_feels_target:
         blocks += [
-            lifted.state[np.ix_(np.r_[layout.controlled], columns)],
-            lifted.outputs[:, 0, columns],
-            lifted.outputs[:, 1, columns],
+            submatrix(lifted.state, np.r_[layout.controlled], columns),
+            lifted.outputs[..., 0, columns],
+            lifted.outputs[..., 1, columns],
         ]
-    return np.vstack(blocks)
+    return np.concatenate(blocks, axis=-2)
 
 
 def filter_state(ground: GroundFilter, history: TargetHistory, dt: float) -> FloatArray:
@@ -167,16 +168,16 @@ def _record_map(discrete: DiscretePlant) -> FloatArray:
     layout, lifted, w = discrete.layout, discrete.lifted_record, discrete.layout.filter_states
     n = layout.order - w
     reference = np.r_[layout.reference] - w
-    columns = np.r_[reference, n + 1 : lifted.state.shape[1]]
-    blocks = [lifted.state[np.ix_(reference, columns)], lifted.outputs[:, 2, columns]]
+    columns = np.r_[reference, n + 1 : lifted.state.shape[-1]]
+    blocks = [submatrix(lifted.state, reference, columns), lifted.outputs[..., 2, columns]]
     if discrete.plant.equations.specimen_feels_target:
         controlled = np.r_[layout.controlled] - w
         blocks += [
-            lifted.state[np.ix_(controlled, columns)],
-            lifted.outputs[:, 0, columns],
-            lifted.outputs[:, 1, columns],
+            submatrix(lifted.state, controlled, columns),
+            lifted.outputs[..., 0, columns],
+            lifted.outputs[..., 1, columns],
         ]
-    return np.vstack(blocks)
+    return np.concatenate(blocks, axis=-2)
 
 
 @dataclass(frozen=True)
@@ -189,7 +190,7 @@ class GroundMaps:
 
     @classmethod
     def of(cls, discrete: DiscretePlant, yielding: Yielding) -> GroundMaps:
-        """Return the maps of one plant."""
+        """Return the maps of one plant, or of a stack."""
         reference = (
             YieldingReference.of(discrete.plant, yielding, discrete.dt) if yielding.active else None
         )

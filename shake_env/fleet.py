@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
 from shake_env import nonlinear_dynamics, reference
+from shake_env.discretization import DiscretePlant
 from shake_env.errors import ScenarioError
 from shake_env.excitation import GroundMaps
-from shake_env.nonlinear_dynamics import NonlinearDynamics
+from shake_env.nonlinear_dynamics import NonlinearDynamics, arrival, commands_under_way, floor_rows
 from shake_env.objective import StageCost
-from shake_env.parameters import FloatArray
+from shake_env.parameters import FloatArray, stacked
+from shake_env.plant import CoupledPlant
 from shake_env.scenario import Scenario
-from shake_env.transition import TableModel, dynamics_of, floors_of
+from shake_env.transition import TableModel
 
-DIRECTIONS = 6  # noise draws a physics step in every lane, see _with_directions
+# Noise draws a physics step in every lane. Of the directions of one short step's noise only three to
+# five lie above rounding; one too many is the weakest, itself rounding.
+DIRECTIONS = 6
 
 
 class Fleet:
@@ -49,8 +54,9 @@ class Fleet:
             field.name: np.full(lanes, getattr(nominal.stage_cost, field.name))
             for field in fields(StageCost)
         }
-        maps = GroundMaps.of(scenario.discrete, scenario.nonlinearity.yielding)
-        self._noise = _repeat(_with_directions(maps.noise, scenario), lanes)
+        discrete = replace(scenario.discrete, directions=DIRECTIONS)
+        maps = GroundMaps.of(discrete, scenario.nonlinearity.yielding)
+        self._noise = _repeat(maps.noise, lanes)
         self._record = _repeat(maps.record, lanes)
         self._reference: dict[str, Any] = {
             name: _repeat(getattr(maps.yielding, name), lanes)
@@ -64,25 +70,40 @@ class Fleet:
             stage_cost=StageCost(**self._cost),
             floor_rows=self._floors,
         )
-        stacked = maps.yielding and replace(maps.yielding, **self._reference)
-        self.maps = GroundMaps(self._noise, self._record, stacked)
+        yielding = maps.yielding and replace(maps.yielding, **self._reference)
+        self.maps = GroundMaps(self._noise, self._record, yielding)
 
-    def draw(self, lane: int, stream: np.random.Generator) -> None:
-        """Give a lane a new plant, drawn from `stream`."""
-        true = self.scenario.drawn(stream)
-        self.plants[lane] = true
-        dynamics = dynamics_of(true)
+    def draw(self, lanes: Sequence[int], streams: Sequence[np.random.Generator]) -> None:
+        """Give each of `lanes` a new plant, drawn from its stream."""
+        scenario, index = self.scenario, np.asarray(lanes, dtype=int)
+        drawn = [scenario.drawn(stream) for stream in streams]
+        for lane, true in zip(lanes, drawn, strict=True):
+            self.plants[lane] = true
+        # All at once, from parameters whose numbers are arrays: one by one, Python costs ten times what
+        # the arithmetic does.
+        actuator = stacked([true.actuator for true in drawn])
+        plant = CoupledPlant(
+            actuator, stacked([true.specimen for true in drawn]), scenario.ground, scenario.equations
+        )
+        parts, step, k = scenario.nonlinearity, scenario.physics_step, scenario.substeps
+        dynamics = NonlinearDynamics.of(plant, parts, step, k, longest_delay=scenario.longest_delay)
+        commands = commands_under_way(scenario.longest_delay, k)
+        own = {
+            "coulomb": [true.nonlinearity.friction.coulomb for true in drawn],
+            "arrival": [arrival(true.delay, k, commands) for true in drawn],
+        }
         for name, stack in self._dynamics.items():
-            stack[lane] = getattr(dynamics, name)
+            stack[index] = own.get(name, getattr(dynamics, name))
+        cost = scenario.objective.coefficients(plant)
         for name, column in self._cost.items():
-            column[lane] = getattr(true.stage_cost, name)
+            column[index] = getattr(cost, name)
         if self._floors is not None:
-            self._floors[lane] = floors_of(true)
-        maps = GroundMaps.of(true.discrete, true.nonlinearity.yielding)
-        self._noise[lane] = _with_directions(maps.noise, true)
-        self._record[lane] = maps.record
+            self._floors[index] = floor_rows(plant, parts.yielding)
+        maps = GroundMaps.of(DiscretePlant(plant, step, k, DIRECTIONS), parts.yielding)
+        self._noise[index] = maps.noise
+        self._record[index] = maps.record
         for name, stack in self._reference.items():
-            stack[lane] = getattr(maps.yielding, name)
+            stack[index] = getattr(maps.yielding, name)
 
     def snapshot(self) -> dict[str, Any]:
         """Return everything that `restore` needs."""
@@ -110,18 +131,3 @@ class Fleet:
 
 def _repeat(matrix: FloatArray, lanes: int) -> FloatArray:
     return np.repeat(np.asarray(matrix, dtype=float)[None], lanes, axis=0)
-
-
-def _with_directions(noise_map: FloatArray, scenario: Scenario) -> FloatArray:
-    """Return a noise map with `DIRECTIONS` draws a physics step, the strongest last.
-
-    Of the directions of one short step's noise only three to five lie above rounding, how many differs
-    from plant to plant. Missing ones get no weight; one too many is the weakest, itself rounding.
-    """
-    layout, k = scenario.plant.layout, scenario.substeps
-    exogenous = layout.filter_states + 2 * layout.stories
-    draws = noise_map[:, exogenous:].reshape(len(noise_map), k, -1)
-    fitted = np.zeros((len(noise_map), k, DIRECTIONS))
-    kept = min(DIRECTIONS, draws.shape[-1])
-    fitted[:, :, DIRECTIONS - kept :] = draws[:, :, draws.shape[-1] - kept :]
-    return np.concatenate([noise_map[:, :exogenous], fitted.reshape(len(noise_map), -1)], axis=1)

@@ -74,7 +74,7 @@ def unknown_specimen() -> Scenario:
 
 
 def yielding() -> Scenario:
-    """Return a linear table, fully seen, under a specimen that is damaged by the test."""
+    """Return a linear table, fully seen with a preview, under a specimen that the test damages."""
     return Scenario(
         name="yielding",
         ground=_ground(),
@@ -82,6 +82,7 @@ def yielding() -> Scenario:
         nonlinearity=Nonlinearity(yielding=Yielding(yield_drift=YIELD_DRIFT)),
         current_limit=LABORATORY_CURRENT,
         limits=Limits.laboratory(),
+        sensing=Sensing(preview=0.1),
     )
 
 

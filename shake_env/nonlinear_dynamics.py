@@ -3,13 +3,20 @@
 ``x' = A x + B u + N g(x)`` with g the nonlinear parts' difference from the linear plant, stepped by the
 exponential Runge-Kutta scheme ETD2RK (Cox and Matthews, J. Comput. Phys. 176, 2002): its weights are
 those of the exact zero- and first-order hold. With g = 0 it is the exact linear step.
+
+Written against the array API, for numpy and torch. Where numba is installed, float64 numpy arrays go
+through the same equations compiled (`shake_env.compiled`), equal to rounding; the environment variable
+``SHAKE_ENV_COMPILED=0``, or :data:`COMPILED` set to False, keeps them here.
 """
 
 from __future__ import annotations
 
 import math
+import os
+import warnings
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import array_api_compat
 import numpy as np
@@ -18,7 +25,7 @@ from shake_env.discretization import first_order_hold
 from shake_env.dynamics import PeriodResponse, as_like
 from shake_env.errors import ScenarioError
 from shake_env.nonlinearity import Nonlinearity, Yielding
-from shake_env.parameters import FloatArray, ModelEquations
+from shake_env.parameters import FloatArray, ModelEquations, diagonal
 from shake_env.plant import (
     LOAD_PRESSURE,
     SPOOL_POSITION,
@@ -26,9 +33,15 @@ from shake_env.plant import (
     TABLE_VELOCITY,
     CoupledPlant,
     StateSpace,
+    specimen_plant,
 )
 
+if TYPE_CHECKING:
+    from shake_env.compiled import CompiledStep
+
 Array = Any  # a numpy array or a torch tensor
+
+COMPILED = os.environ.get("SHAKE_ENV_COMPILED", "1") != "0"  # whether numba is used where it is there
 
 ARRAYS = ("advance", "slope", "C", "D", "spool_rate", "coulomb", "arrival")
 FLOW, FORCE, SPOOL_RATE = range(3)  # columns of N: [m] spool, [N] on the table, [m/s] spool; then slips
@@ -45,30 +58,28 @@ def specimen_with_slip(plant: CoupledPlant, yielding: Yielding) -> StateSpace:
     States ``[x_r, x_r', s]`` (3 stories), inputs ``[base acceleration, s']`` (1 + stories).
     """
     specimen = plant.specimen
-    n = specimen.stories
-    inverse_mass = np.diag(1.0 / np.asarray(specimen.masses))
+    n, batch = specimen.stories, np.shape(specimen.masses)[:-1]
+    rigid, upper = specimen_plant(specimen), slice(n, 2 * n)
+    inverse_mass = diagonal(1.0 / np.asarray(specimen.masses))
     relaxed = (1.0 - yielding.stiffness_ratio) * np.asarray(specimen.stiffnesses)
-    A = np.zeros((3 * n, 3 * n))
-    A[:n, n : 2 * n] = np.eye(n)
-    A[n : 2 * n, :n] = -inverse_mass @ specimen.stiffness_matrix
-    A[n : 2 * n, n : 2 * n] = -inverse_mass @ specimen.damping_matrix
-    A[n : 2 * n, 2 * n :] = inverse_mass @ incidence(n).T @ np.diag(relaxed)
-    B = np.zeros((3 * n, 1 + n))
-    B[n : 2 * n, 0] = -1.0
-    B[2 * n :, 1:] = np.eye(n)
-    C = np.zeros((1, 3 * n))
-    C[0, 0], C[0, n], C[0, 2 * n] = specimen.stiffnesses[0], specimen.dampings[0], -relaxed[0]
-    return StateSpace(A, B, C, np.zeros((1, 1 + n)))
+    A, B = np.zeros((*batch, 3 * n, 3 * n)), np.zeros((*batch, 3 * n, 1 + n))
+    C = np.zeros((*batch, 1, 3 * n))
+    A[..., : 2 * n, : 2 * n], B[..., : 2 * n, :1], C[..., : 2 * n] = rigid.A, rigid.B, rigid.C
+    A[..., upper, 2 * n :] = inverse_mass @ incidence(n).T @ diagonal(relaxed)
+    B[..., 2 * n :, 1:] = np.eye(n)
+    C[..., 0, 2 * n] = -relaxed[..., 0]
+    return StateSpace(A, B, C, np.zeros((*batch, 1, 1 + n)))
 
 
 def floor_rows(plant: CoupledPlant, yielding: Yielding) -> FloatArray:
     """Return the map from ``[x_r, x_r']``, with slips ``s`` if storeys yield, to floor accelerations.
 
-    (stories, 2 or 3 stories); absolute accelerations [m/s^2]: a floor feels nothing but its storeys.
+    (..., stories, 2 or 3 stories); absolute accelerations [m/s^2]: a floor feels nothing but its
+    storeys.
     """
     n = plant.specimen.stories
-    rows = specimen_with_slip(plant, yielding).A[n : 2 * n]
-    return rows if yielding.active else rows[:, : 2 * n]
+    rows = specimen_with_slip(plant, yielding).A[..., n : 2 * n, :]
+    return rows if yielding.active else rows[..., : 2 * n]
 
 
 def controlled_plant(plant: CoupledPlant, parts: Nonlinearity) -> StateSpace:
@@ -90,44 +101,47 @@ def controlled_plant(plant: CoupledPlant, parts: Nonlinearity) -> StateSpace:
     second_order = parts.valve.natural_frequency is not None
     linear = 4 + 2 * n
     order = linear + slips + second_order
-    A, B = np.zeros((order, order)), np.zeros((order, 4 + slips))
-    C, D = np.zeros((2, order)), np.zeros((2, 4 + slips))
     driven = plant.driven
-    A[:linear, :linear] = driven.A[:linear, :linear]
-    B[:linear, 0] = driven.B[:linear, 0]
-    C[:, :linear] = driven.C[:2, :linear]
+    batch = driven.A.shape[:-2]
+    A, B = np.zeros((*batch, order, order)), np.zeros((*batch, order, 4 + slips))
+    C, D = np.zeros((*batch, 2, order)), np.zeros((*batch, 2, 4 + slips))
+    A[..., :linear, :linear] = driven.A[..., :linear, :linear]
+    B[..., :linear, 0] = driven.B[..., :linear, 0]
+    C[..., :linear] = driven.C[..., :2, :linear]
     # A force on the table enters its acceleration, and through it every storey.
-    push = np.zeros(order)
-    push[TABLE_VELOCITY] = 1.0 / actuator.table_mass
-    push[4 + n : linear] = -1.0 / actuator.table_mass
-    B[LOAD_PRESSURE, 1 + FLOW] = A[LOAD_PRESSURE, SPOOL_POSITION]
-    B[:, 1 + FORCE], D[0, 1 + FORCE] = push, 1.0 / actuator.table_mass
-    B[SPOOL_POSITION, 1 + SPOOL_RATE] = 1.0
+    push = np.zeros((*batch, order, 1))
+    push[..., TABLE_VELOCITY, 0] = 1.0 / actuator.table_mass
+    push[..., 4 + n : linear, :] = -push[..., TABLE_VELOCITY, None, :]
+    B[..., LOAD_PRESSURE, 1 + FLOW] = A[..., LOAD_PRESSURE, SPOOL_POSITION]
+    B[..., 1 + FORCE], D[..., 0, 1 + FORCE] = push[..., 0], push[..., TABLE_VELOCITY, 0]
+    B[..., SPOOL_POSITION, 1 + SPOOL_RATE] = 1.0
     if slips:
         building = specimen_with_slip(plant, parts.yielding)
         slip = slice(linear, linear + n)
-        A[4 + n : linear, slip] = building.A[n : 2 * n, 2 * n :]
-        C[1, slip] = building.C[0, 2 * n :]
-        C[0, slip] = building.C[0, 2 * n :] / actuator.table_mass
-        A[:, slip] += np.outer(push, building.C[0, 2 * n :])
-        B[slip, 4:] = np.eye(n)
+        released = building.C[..., 2 * n :]
+        A[..., 4 + n : linear, slip] = building.A[..., n : 2 * n, 2 * n :]
+        C[..., 1:, slip] = released
+        C[..., :1, slip] = released * push[..., TABLE_VELOCITY, None, :]
+        A[..., slip] += push * released
+        B[..., slip, 4:] = np.eye(n)
     if second_order:
         omega = 2.0 * math.pi * (parts.valve.natural_frequency or 0.0)
-        A[SPOOL_POSITION], B[SPOOL_POSITION, 0] = 0.0, 0.0
-        A[SPOOL_POSITION, -1] = 1.0
-        A[-1, SPOOL_POSITION], A[-1, -1] = -(omega**2), -2.0 * parts.valve.damping_ratio * omega
-        B[-1, 0] = omega**2 * actuator.valve_gain
+        A[..., SPOOL_POSITION, :], B[..., SPOOL_POSITION, 0] = 0.0, 0.0
+        A[..., SPOOL_POSITION, -1] = 1.0
+        A[..., -1, SPOOL_POSITION] = -(omega**2)
+        A[..., -1, -1] = -2.0 * parts.valve.damping_ratio * omega
+        B[..., -1, 0] = omega**2 * actuator.valve_gain
     return StateSpace(A, B, C, D)
 
 
 def controlled_scale(plant: CoupledPlant, parts: Nonlinearity) -> FloatArray:
     """Return the size of each state of :func:`controlled_plant`, for the arithmetic only."""
-    scale = plant.state_scale[plant.layout.controlled]
+    scale = plant.state_scale[..., plant.layout.controlled]
     n = plant.specimen.stories
-    extra = [scale[4 : 4 + n]] if parts.yielding.active else []
+    extra = [scale[..., 4 : 4 + n]] if parts.yielding.active else []
     if parts.valve.natural_frequency is not None:
-        extra.append(scale[[SPOOL_POSITION]] * 2.0 * math.pi * parts.valve.natural_frequency)
-    return np.concatenate([scale, *extra])
+        extra.append(scale[..., [SPOOL_POSITION]] * 2.0 * math.pi * parts.valve.natural_frequency)
+    return np.concatenate([scale, *extra], axis=-1)
 
 
 def apply(matrix: Array, vector: Array) -> Array:
@@ -168,22 +182,25 @@ class NonlinearDynamics:
     ) -> NonlinearDynamics:
         """Discretise a plant with nonlinear parts and a loop delay of `delay` physics steps.
 
-        Plants that are to be stacked share a `longest_delay`, so that as many commands are kept.
+        Plants that are to be stacked share a `longest_delay`, so that as many commands are kept. From a
+        stacked plant every matrix comes out one a plant; friction and delay are common to them.
         """
         continuous = controlled_plant(plant, parts)
         model, slope = first_order_hold(continuous, dt, controlled_scale(plant, parts))
         level = model.B + slope  # zero-order hold is the sum of the first-order hold's two weights
         first_order = parts.valve.natural_frequency is None
-        rate = [continuous.A[SPOOL_POSITION, SPOOL_POSITION], continuous.B[SPOOL_POSITION, 0]]
+        at, batch = SPOOL_POSITION, continuous.A.shape[:-2]
+        rate = np.stack([continuous.A[..., at, at], continuous.B[..., at, 0]], axis=-1)
+        picks = arrival(delay, substeps, commands_under_way(max(delay, longest_delay), substeps))
         return cls(
             parts=parts,
-            advance=np.hstack([model.A, level]),
-            slope=slope[:, 1:],
+            advance=np.concatenate([model.A, level], axis=-1),
+            slope=slope[..., 1:],
             C=continuous.C,
-            D=continuous.D[:, 1:],
-            spool_rate=np.asarray(rate if first_order else [0.0, 0.0]),
-            coulomb=np.asarray(parts.friction.coulomb),
-            arrival=arrival(delay, substeps, commands_under_way(max(delay, longest_delay), substeps)),
+            D=continuous.D[..., 1:],
+            spool_rate=rate if first_order else np.zeros_like(rate),
+            coulomb=np.full(batch, parts.friction.coulomb),
+            arrival=np.tile(picks, (*batch, 1, 1)),
             stories=plant.specimen.stories,
             substeps=substeps,
         )
@@ -196,6 +213,23 @@ class NonlinearDynamics:
     def like(self, array: Array) -> NonlinearDynamics:
         """Return this update in the library, precision and device of `array`."""
         return replace(self, **{name: as_like(getattr(self, name), array) for name in ARRAYS})
+
+    @cached_property
+    def _compiled(self) -> CompiledStep | None:
+        try:
+            from shake_env.compiled import CompiledStep  # numba is an extra, and half a second to import
+        except ImportError:
+            return None
+        except RuntimeError as problem:  # numba found no folder to keep its work in
+            warnings.warn(
+                f"tables step uncompiled, several times slower: {problem}. Set NUMBA_CACHE_DIR to a "
+                "folder that can be written, or SHAKE_ENV_COMPILED=0",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+            return None
+        matrices = {name: getattr(self, name) for name in ARRAYS}
+        return CompiledStep.of(self.parts, self.stories, matrices)
 
     def nonlinear(self, state: Array, current: Array) -> Array:
         """Return g, (..., 3 or 3 + stories): what the linear plant leaves out, in :data:`FLOW` order."""
@@ -250,6 +284,10 @@ class NonlinearDynamics:
         drive
             None: with the corrected equations the table feels the current only.
         """
+        if COMPILED and type(state) is np.ndarray:
+            step = self._compiled
+            if step is not None and step.fits(state, current):
+                return PeriodResponse(*step(state, current))
         xp = array_api_compat.array_namespace(state, current)
         commands = self.arrival.shape[-1] - 1
         if commands:

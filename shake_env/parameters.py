@@ -6,12 +6,14 @@ can be derived from them is a property.
 
 from __future__ import annotations
 
+import copy
 import math
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from shake_env.errors import ParameterError
 
@@ -19,6 +21,26 @@ FloatArray = NDArray[np.float64]
 
 TABLE_MASS = 180.0  # m_a [kg] of Table I; a specimen's mass ratio refers to it unless told otherwise
 GRAVITY = 9.80665  # [m/s^2] standard gravity, used only where a record comes in units of g
+
+
+Part = TypeVar("Part", "Actuator", "Specimen")
+
+
+def unchecked(part: Part, **changes: Any) -> Part:
+    """Return a copy with fields changed that no check looks at: numbers derived from checked ones."""
+    changed = copy.copy(part)
+    for name, value in changes.items():
+        object.__setattr__(changed, name, value)
+    return changed
+
+
+def stacked(parts: Sequence[Part]) -> Part:
+    """Return one part whose numbers are arrays, (N,) or (N, stories): what N plants are made of at once.
+
+    Each of `parts` was checked when it was made.
+    """
+    columns = {f.name: np.array([getattr(part, f.name) for part in parts]) for f in fields(parts[0])}
+    return unchecked(parts[0], **columns)
 
 
 def require_positive(owner: object, *fields: str) -> None:
@@ -197,7 +219,7 @@ class Specimen:
     @property
     def stories(self) -> int:
         """Number of storeys n_m."""
-        return len(self.masses)
+        return np.shape(self.masses)[-1]
 
     @property
     def mass(self) -> float:
@@ -206,17 +228,17 @@ class Specimen:
 
     @property
     def mass_matrix(self) -> FloatArray:
-        """M, (stories, stories) [kg]."""
-        return np.diag(self.masses)
+        """M, (..., stories, stories) [kg]."""
+        return diagonal(self.masses)
 
     @property
     def stiffness_matrix(self) -> FloatArray:
-        """K, (stories, stories) [N/m], tridiagonal."""
+        """K, (..., stories, stories) [N/m], tridiagonal."""
         return chain(self.stiffnesses)
 
     @property
     def damping_matrix(self) -> FloatArray:
-        """C, (stories, stories) [N s/m], tridiagonal."""
+        """C, (..., stories, stories) [N s/m], tridiagonal."""
         return chain(self.dampings)
 
     @property
@@ -228,17 +250,29 @@ class Specimen:
         return frequencies
 
 
-def chain(storeys: tuple[float, ...]) -> FloatArray:
-    """Return the tridiagonal matrix of a chain fixed at its lower end.
+def diagonal(values: ArrayLike) -> FloatArray:
+    """Return the diagonal matrix (..., n, n) of values (..., n)."""
+    entries = np.asarray(values, dtype=float)
+    matrix = np.zeros((*entries.shape, entries.shape[-1]))
+    place = np.arange(entries.shape[-1])
+    matrix[..., place, place] = entries
+    return matrix
+
+
+def chain(storeys: ArrayLike) -> FloatArray:
+    """Return the tridiagonal matrix (..., n, n) of a chain fixed at its lower end.
 
     Parameters
     ----------
     storeys
-        (n,) stiffness or damping of the link below each floor.
+        (..., n) stiffness or damping of the link below each floor.
     """
-    link = np.asarray(storeys)
-    above = np.append(link[1:], 0.0)
-    return np.diag(link + above) - np.diag(link[1:], 1) - np.diag(link[1:], -1)
+    link = np.asarray(storeys, dtype=float)
+    matrix = diagonal(link)
+    below = np.arange(link.shape[-1] - 1)
+    matrix[..., below, below] += link[..., 1:]
+    matrix[..., below, below + 1] = matrix[..., below + 1, below] = -link[..., 1:]
+    return matrix
 
 
 @dataclass(frozen=True, kw_only=True)

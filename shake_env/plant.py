@@ -1,5 +1,7 @@
 """Parameters to continuous state space: actuator, specimen, ground filter and the coupled plant.
 
+Leading axes are the batch: from parameters that are `stacked`, every matrix comes out one a plant.
+
 Full state, in order (SI): ``[x_W, x_A, x_S, x~_S]`` - ground filter, actuator ``[p_l, x_a, v_a, x_v]``,
 specimen ``[x_r, x_r']`` relative to the table, and the reference specimen on real ground.
 """
@@ -8,13 +10,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov
 
 from shake_env.errors import ParameterError
-from shake_env.parameters import Actuator, FloatArray, GroundFilter, ModelEquations, Specimen
+from shake_env.parameters import (
+    Actuator,
+    FloatArray,
+    GroundFilter,
+    ModelEquations,
+    Specimen,
+    diagonal,
+    unchecked,
+)
 
 LOAD_PRESSURE, TABLE_DISPLACEMENT, TABLE_VELOCITY, SPOOL_POSITION = range(4)  # places in x_A
 
@@ -31,10 +42,10 @@ class StateSpace:
         If the shapes do not fit together.
     """
 
-    A: FloatArray  # (n, n)
-    B: FloatArray  # (n, inputs)
-    C: FloatArray  # (outputs, n)
-    D: FloatArray  # (outputs, inputs)
+    A: FloatArray  # (..., n, n)
+    B: FloatArray  # (..., n, inputs)
+    C: FloatArray  # (..., outputs, n)
+    D: FloatArray  # (..., outputs, inputs)
 
     def __post_init__(self) -> None:
         check_shapes(self.A, self.B, self.C, self.D)
@@ -42,7 +53,7 @@ class StateSpace:
     @property
     def order(self) -> int:
         """Number of states n."""
-        return int(self.A.shape[0])
+        return int(self.A.shape[-1])
 
     def frequency_response(self, omega: FloatArray) -> FloatArray:
         """Return G(j omega), complex (frequencies, outputs, inputs); `omega` (frequencies,) [rad/s]."""
@@ -54,10 +65,19 @@ class StateSpace:
 
 def check_shapes(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> None:
     """Raise ParameterError unless the four matrices make one linear model."""
-    n, inputs, outputs = A.shape[0], B.shape[1], C.shape[0]
     shapes = (A.shape, B.shape, C.shape, D.shape)
-    if shapes != ((n, n), (n, inputs), (outputs, n), (outputs, inputs)):
+    *batch, _, n = A.shape
+    inputs, outputs = B.shape[-1], C.shape[-2]
+    if shapes != tuple(
+        (*batch, *pair) for pair in ((n, n), (n, inputs), (outputs, n), (outputs, inputs))
+    ):
         raise ParameterError("A, B, C, D shapes", shapes, "must be (n,n), (n,i), (o,n), (o,i)")
+
+
+def submatrix(matrix: FloatArray, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> FloatArray:
+    """Return some rows and columns of each matrix (..., m, n)."""
+    part: FloatArray = matrix[..., rows[:, None], columns]
+    return part
 
 
 @dataclass(frozen=True)
@@ -149,18 +169,20 @@ def ground_filter(ground: GroundFilter) -> StateSpace:
 
 def specimen_plant(specimen: Specimen) -> StateSpace:
     """Return the specimen from the acceleration of its base to its base shear f_s (eqs. 6 to 8)."""
-    n = specimen.stories
-    inverse_mass = np.diag(1.0 / np.asarray(specimen.masses))
-    A = np.block(
-        [
-            [np.zeros((n, n)), np.eye(n)],
-            [-inverse_mass @ specimen.stiffness_matrix, -inverse_mass @ specimen.damping_matrix],
-        ]
+    n, batch = specimen.stories, np.shape(specimen.masses)[:-1]
+    inverse_mass = diagonal(1.0 / np.asarray(specimen.masses))
+    A, B, C = (
+        np.zeros((*batch, 2 * n, 2 * n)),
+        np.zeros((*batch, 2 * n, 1)),
+        np.zeros((*batch, 1, 2 * n)),
     )
-    B = np.concatenate([np.zeros(n), -np.ones(n)])[:, None]
-    C = np.zeros((1, 2 * n))
-    C[0, 0], C[0, n] = specimen.stiffnesses[0], specimen.dampings[0]
-    return StateSpace(A, B, C, np.zeros((1, 1)))
+    A[..., :n, n:] = np.eye(n)
+    A[..., n:, :n] = -inverse_mass @ specimen.stiffness_matrix
+    A[..., n:, n:] = -inverse_mass @ specimen.damping_matrix
+    B[..., n:, 0] = -1.0
+    C[..., 0, 0] = np.asarray(specimen.stiffnesses)[..., 0]
+    C[..., 0, n] = np.asarray(specimen.dampings)[..., 0]
+    return StateSpace(A, B, C, np.zeros((*batch, 1, 1)))
 
 
 def actuator_plant(actuator: Actuator, equations: ModelEquations) -> StateSpace:
@@ -168,18 +190,38 @@ def actuator_plant(actuator: Actuator, equations: ModelEquations) -> StateSpace:
     a = actuator
     modulus = a.bulk_modulus if equations.oil_modulus_in_stiffness else a.oil_volume
     oil = 4.0 * modulus / a.oil_volume
-    A = np.zeros((4, 4))
-    A[0] = oil * -a.leakage, 0.0, oil * -a.piston_area, oil * a.flow_gain
-    A[1, 2] = 1.0
-    A[2] = np.array([a.piston_area, -a.table_stiffness, -a.table_damping, 0.0]) / a.table_mass
-    A[3, 3] = -1.0 / a.valve_time_constant
-    B = np.zeros((4, 2))
-    B[2, 1] = (1.0 if equations.reaction_on_table else -1.0) / a.table_mass
-    B[3, 0] = a.valve_gain / a.valve_time_constant
-    D = np.zeros((1, 2))
+    batch = np.shape(a.table_mass)
+    A, B, D = np.zeros((*batch, 4, 4)), np.zeros((*batch, 4, 2)), np.zeros((*batch, 1, 2))
+    A[..., 0, 0], A[..., 0, 2], A[..., 0, 3] = oil * -a.leakage, oil * -a.piston_area, oil * a.flow_gain
+    A[..., 1, 2] = 1.0
+    A[..., 2, 0] = a.piston_area / a.table_mass
+    A[..., 2, 1] = -a.table_stiffness / a.table_mass
+    A[..., 2, 2] = -a.table_damping / a.table_mass
+    A[..., 3, 3] = -1.0 / a.valve_time_constant
+    B[..., 2, 1] = (1.0 if equations.reaction_on_table else -1.0) / a.table_mass
+    B[..., 3, 0] = a.valve_gain / a.valve_time_constant
     if equations.shear_in_table_acceleration:
-        D[0, 1] = B[2, 1]
-    return StateSpace(A, B, A[2:3].copy(), D)
+        D[..., 0, 1] = B[..., 2, 1]
+    return StateSpace(A, B, A[..., 2:3, :].copy(), D)
+
+
+def stationary_covariance(A: FloatArray, B: FloatArray) -> FloatArray:
+    """Return the stationary covariance (..., n, n) of ``x' = A x + B w`` under unit white noise w."""
+    intensity = B @ np.swapaxes(B, -1, -2)
+    n = A.shape[-1]
+    pairs = zip(A.reshape(-1, n, n), intensity.reshape(-1, n, n), strict=True)
+    return np.array([solve_continuous_lyapunov(a, -q) for a, q in pairs]).reshape(A.shape)
+
+
+def _variance(A: FloatArray, B: FloatArray, row: FloatArray, scale: FloatArray) -> Any:
+    """Return the mean square (...) of ``row x``, scaled for the arithmetic."""
+    scaled = A * scale[..., None, :] / scale[..., None]
+    return _quadratic(row * scale, stationary_covariance(scaled, B / scale[..., None]))
+
+
+def _quadratic(row: FloatArray, matrix: FloatArray) -> Any:
+    square = (row[..., None, :] @ matrix @ row[..., :, None])[..., 0, 0]
+    return square if square.ndim else float(square)
 
 
 @dataclass(frozen=True)
@@ -205,25 +247,25 @@ class CoupledPlant:
         """
         table = actuator_plant(self.actuator, self.equations)
         building = specimen_plant(self.specimen)
-        m = building.order
-        A = np.zeros((4 + 2 * m, 4 + 2 * m))
-        B = np.zeros((4 + 2 * m, 2))
-        C = np.zeros((3, 4 + 2 * m))
+        m, batch = building.order, table.A.shape[:-2]
+        A = np.zeros((*batch, 4 + 2 * m, 4 + 2 * m))
+        B = np.zeros((*batch, 4 + 2 * m, 2))
+        C = np.zeros((*batch, 3, 4 + 2 * m))
         a, s, r = slice(0, 4), slice(4, 4 + m), slice(4 + m, 4 + 2 * m)
-        C[0, a] = table.C[0]
-        C[0, s] = table.D[0, 1] * building.C[0]
-        C[1, s] = building.C[0]
-        C[2, r] = building.C[0]
-        A[a, a] = table.A
-        A[a, s] = table.B[:, 1:] @ building.C
-        A[s, :] = building.B @ C[:1]
-        A[s, s] += building.A
-        A[r, r] = building.A
-        B[a, 0] = table.B[:, 0]
-        B[r, 1] = building.B[:, 0]
+        C[..., 0, a] = table.C[..., 0, :]
+        C[..., 0, s] = table.D[..., 0, 1:] * building.C[..., 0, :]
+        C[..., 1, s] = building.C[..., 0, :]
+        C[..., 2, r] = building.C[..., 0, :]
+        A[..., a, a] = table.A
+        A[..., a, s] = table.B[..., 1:] @ building.C
+        A[..., s, :] = building.B @ C[..., :1, :]
+        A[..., s, s] += building.A
+        A[..., r, r] = building.A
+        B[..., a, 0] = table.B[..., 0]
+        B[..., r, 1] = building.B[..., 0]
         if self.equations.specimen_feels_target:
-            B[s, 1] = building.B[:, 0]
-        return StateSpace(A, B, C, np.zeros((3, 2)))
+            B[..., s, 1] = building.B[..., 0]
+        return StateSpace(A, B, C, np.zeros((*batch, 3, 2)))
 
     @cached_property
     def coupled(self) -> StateSpace:
@@ -232,19 +274,21 @@ class CoupledPlant:
         States ``[x_W, x_A, x_S, x~_S]``, inputs ``[u, w]``, outputs ``[y_A, f_s, y~, f~_s]``.
         """
         source, driven = ground_filter(self.ground), self.driven
-        w, n = source.order, driven.order
-        A = np.block([[source.A, np.zeros((w, n))], [driven.B[:, 1:] @ source.C, driven.A]])
-        B = np.zeros((w + n, 2))
-        B[w:, 0] = driven.B[:, 0]
-        B[:w, 1] = source.B[:, 0]
-        C = np.zeros((4, w + n))
-        C[[0, 1, 3], w:] = driven.C
-        C[2, :w] = source.C[0]
-        return StateSpace(A, B, C, np.zeros((4, 2)))
+        w, n, batch = source.order, driven.order, driven.A.shape[:-2]
+        A, B = np.zeros((*batch, w + n, w + n)), np.zeros((*batch, w + n, 2))
+        C = np.zeros((*batch, 4, w + n))
+        A[..., :w, :w] = source.A
+        A[..., w:, :w] = driven.B[..., 1:] @ source.C
+        A[..., w:, w:] = driven.A
+        B[..., w:, 0] = driven.B[..., 0]
+        B[..., :w, 1] = source.B[:, 0]
+        C[..., [0, 1, 3], w:] = driven.C
+        C[..., 2, :w] = source.C[0]
+        return StateSpace(A, B, C, np.zeros((*batch, 4, 2)))
 
     @cached_property
     def state_scale(self) -> FloatArray:
-        """Size of each state, (n,) in SI: the one place where states are scaled.
+        """Size of each state, (..., n) in SI: the one place where states are scaled.
 
         A state's scale is its rms in a table that tracks the unit-intensity target perfectly. The
         numerical methods scale by it inside, and observations are divided by it. The high-pass and the
@@ -253,54 +297,49 @@ class CoupledPlant:
         """
         plain = GroundFilter(frequency=self.ground.frequency, damping_ratio=self.ground.damping_ratio)
         critical = 2.0 * np.sqrt(np.multiply(self.specimen.masses, self.specimen.stiffnesses))
-        damped = replace(
-            self.specimen, dampings=tuple(np.maximum(self.specimen.dampings, 0.01 * critical))
-        )
+        damped = unchecked(self.specimen, dampings=np.maximum(self.specimen.dampings, 0.01 * critical))
         base = CoupledPlant(self.actuator, damped, plain, ModelEquations())
         a, layout = self.actuator, base.layout
         exogenous = np.r_[layout.ground, layout.reference]
-        A = base.coupled.A[np.ix_(exogenous, exogenous)]
-        B = base.coupled.B[exogenous, 1:]
-        variance = solve_continuous_lyapunov(A, -B @ B.T)
-        rms = np.sqrt(np.diag(variance))
-        shear_row = base.coupled.C[3, exogenous]
-        shear = float(np.sqrt(shear_row @ variance @ shear_row))
+        A = submatrix(base.coupled.A, exogenous, exogenous)
+        variance = stationary_covariance(A, base.coupled.B[..., exogenous, 1:])
+        rms = np.sqrt(np.diagonal(variance, axis1=-2, axis2=-1))
+        shear = np.sqrt(_quadratic(base.coupled.C[..., 3, exogenous], variance))
         omega, zeta = plain.omega, plain.damping_ratio
         acceleration, velocity = np.sqrt(zeta * omega), np.sqrt(zeta / omega)
         force = np.sqrt(
             (a.table_mass * acceleration) ** 2 + (a.table_damping * velocity) ** 2 + shear**2
         )
         displacement = velocity / omega
-        table = [
+        table = (
             force / a.piston_area, displacement, velocity, a.piston_area * velocity / a.flow_gain,
-        ]  # fmt: skip
-        highpass = [displacement, velocity] if self.ground.states == 4 else []
-        building = rms[2:]
-        return np.concatenate([rms[:2], highpass, table, building, building])
+        )  # fmt: skip
+        highpass = (displacement, velocity) if self.ground.states == 4 else ()
+        middle = np.stack(np.broadcast_arrays(*highpass, *table), axis=-1)
+        building = rms[..., 2:]
+        return np.concatenate([rms[..., :2], middle, building, building], axis=-1)
 
     @cached_property
     def target_variance(self) -> float:
         """||G_W||^2 [(m/s^2)^2]: mean square of the stationary target at unit intensity."""
-        return self._stationary_variance(2, np.r_[self.layout.ground])
+        source = ground_filter(self.ground)
+        # Of all plants of a stack the same, and so is the scale of its states.
+        scale = self.state_scale.reshape(-1, self.layout.order)[0, self.layout.ground]
+        return float(_variance(source.A, source.B, source.C[0], scale))
 
     @cached_property
-    def reference_shear_variance(self) -> float:
-        """||f~_s||^2 [N^2]: mean square of the reference base shear at unit intensity."""
-        if min(self.specimen.dampings) == 0.0:
+    def reference_shear_variance(self) -> Any:
+        """||f~_s||^2 [N^2], (...): mean square of the reference base shear at unit intensity."""
+        if np.min(self.specimen.dampings) == 0.0:
             raise ParameterError(
                 "dampings",
                 self.specimen.dampings,
                 "an undamped reference specimen has no stationary base shear to normalise by: "
                 "damp every storey, or give the force no weight",
             )
-        return self._stationary_variance(3, np.r_[self.layout.ground, self.layout.reference])
-
-    def _stationary_variance(self, output: int, states: NDArray[np.intp]) -> float:
-        scale = self.state_scale[states]
-        A = self.coupled.A[np.ix_(states, states)] * scale / scale[:, None]
-        B = self.coupled.B[states, 1:] / scale[:, None]
-        row = self.coupled.C[output, states] * scale
-        return float(row @ solve_continuous_lyapunov(A, -B @ B.T) @ row)
+        coupled, states = self.coupled, np.r_[self.layout.ground, self.layout.reference]
+        A, B = submatrix(coupled.A, states, states), coupled.B[..., states, 1:]
+        return _variance(A, B, coupled.C[..., 3, states], self.state_scale[..., states])
 
     @property
     def natural_frequencies(self) -> FloatArray:

@@ -39,16 +39,16 @@ class YieldingReference:
     def of(cls, plant: CoupledPlant, yielding: Yielding, dt: float) -> YieldingReference:
         """Discretise the yielding specimen of a plant."""
         continuous = specimen_with_slip(plant, yielding)
-        scale = plant.state_scale[plant.layout.reference]
+        scale = plant.state_scale[..., plant.layout.reference]
         n = plant.specimen.stories
-        model, slope = first_order_hold(continuous, dt, np.concatenate([scale, scale[:n]]))
+        model, slope = first_order_hold(continuous, dt, np.concatenate([scale, scale[..., :n]], axis=-1))
         return cls(
             yielding=yielding,
             A=model.A,
-            ground=model.B[:, :1],
-            ground_next=slope[:, :1],
-            level=model.B[:, 1:] + slope[:, 1:],
-            slope=slope[:, 1:],
+            ground=model.B[..., :1],
+            ground_next=slope[..., :1],
+            level=model.B[..., 1:] + slope[..., 1:],
+            slope=slope[..., 1:],
             C=continuous.C,
             stories=n,
         )

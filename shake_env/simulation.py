@@ -97,8 +97,7 @@ class Simulation:
         given = [self.scenario.motion] * len(lanes) if motions is None else motions
         chosen = [motion.pick(stream) for motion, stream in zip(given, streams, strict=True)]
         if self.fleet is not None:
-            for lane, stream in zip(lanes, streams, strict=True):
-                self.fleet.draw(lane, stream)
+            self.fleet.draw(lanes, streams)
         ground = self.excitation.start(lanes, chosen, streams)
         period, physics_step = self.scenario.control_period, self.scenario.physics_step
         index = np.asarray(lanes, dtype=int)

@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shake_env import FilteredNoise, RecordedMotion, make_scenario
+from shake_env import FilteredNoise, RecordedMotion, make_scenario, nonlinear_dynamics, reference
 from shake_env.errors import ParameterError
+from shake_env.excitation import GroundMaps
+from shake_env.fleet import DIRECTIONS, Fleet
 from shake_env.nonlinear_dynamics import NonlinearDynamics
-from shake_env.nonlinearity import Friction, Nonlinearity, Yielding
+from shake_env.nonlinearity import Friction, Nonlinearity, ServoValve, Yielding
 from shake_env.simulation import Simulation
+from shake_env.transition import dynamics_of
 from shake_env.uncertainty import Uncertainty, Uniform
 
 WIDE = Uncertainty(
@@ -70,6 +73,44 @@ def test_a_lane_of_a_fleet_is_its_drawn_plant_alone():
             state = response.state
             np.testing.assert_allclose(response.base_shear, shear[t, lane], rtol=1e-8, atol=1e-8)
         assert np.abs(reference[:, lane]).max() > 0.1  # the record begins quietly
+
+
+@pytest.mark.parametrize("yielding", [Yielding(), Yielding(yield_drift=0.006)])
+@pytest.mark.parametrize("valve", [ServoValve(), ServoValve(natural_frequency=60.0)])
+def test_plants_drawn_at_once_are_those_drawn_one_by_one(yielding, valve):
+    """Every stacked matrix against the drawn scenario's own, which is never stacked."""
+    parts = Nonlinearity(friction=Friction(coulomb=150.0), yielding=yielding, valve=valve)
+    scenario = uncertain(nonlinearity=parts, limits="laboratory", highpass_frequency=0.5)
+    fleet = Fleet(scenario, 9)
+    fleet.draw([7, 2, 5], [np.random.default_rng(seed) for seed in (1, 2, 3)])
+    assert fleet.plants[0] == scenario
+    for lane, seed in ((7, 1), (2, 2), (5, 3)):
+        true = scenario.drawn(np.random.default_rng(seed))
+        assert fleet.plants[lane] == true
+        maps = GroundMaps.of(replace(true.discrete, directions=DIRECTIONS), yielding)
+        ours = {name: getattr(fleet.model.dynamics, name)[lane] for name in nonlinear_dynamics.ARRAYS}
+        own = dynamics_of(true)
+        theirs = {name: getattr(own, name) for name in nonlinear_dynamics.ARRAYS}
+        for field in ("acceleration", "force", "current"):
+            ours[field] = getattr(fleet.model.stage_cost, field)[lane]
+            theirs[field] = getattr(true.stage_cost, field)
+            assert isinstance(theirs[field], float)  # one plant's numbers are numbers
+        ours["record"], theirs["record"] = fleet.maps.record[lane], maps.record
+        if yielding.active:
+            for name in reference.ARRAYS:
+                ours[name + " of the reference"] = getattr(fleet.maps.yielding, name)[lane]
+                theirs[name + " of the reference"] = getattr(maps.yielding, name)
+        for name, expected in theirs.items():
+            np.testing.assert_allclose(ours[name], expected, rtol=1e-12, atol=0, err_msg=name)
+        # Of the noise the weakest directions are rounding; what is theirs is the covariance of a row.
+        exogenous = true.plant.layout.filter_states + 2 * true.plant.layout.stories
+        noise, expected = fleet.maps.noise[lane], maps.noise
+        np.testing.assert_allclose(noise[:, :exogenous], expected[:, :exogenous], rtol=1e-12, atol=0)
+        scale = np.linalg.norm(expected[:, exogenous:], axis=1)
+        covariance, own_covariance = (
+            (m[:, exogenous:] @ m[:, exogenous:].T) / np.outer(scale, scale) for m in (noise, expected)
+        )
+        np.testing.assert_allclose(covariance, own_covariance, rtol=0, atol=1e-12)
 
 
 def test_a_fleet_without_spread_is_the_common_plant():

@@ -1,0 +1,129 @@
+"""The controller that knows too much: true plant, full state, half a second of the target, no delay.
+
+Regret is counted from what it reaches. On a linear plant it is within its preview of the best that any
+controller could do; with friction, limits or yielding storeys it is a linear law that knows everything,
+and a better one may exist. There it also minds its place, which is what holds friction's drift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.preview_lqr import PreviewFeedback, preview_lqr
+from shake_env.controller import Controller
+from shake_env.errors import ParameterError
+from shake_env.rollout import Earthquake
+from shake_env.scenario import Scenario
+from shake_env.sensing import Sensing
+from shake_env.uncertainty import Uncertainty
+
+POSITION = 0.01  # [m] see `preview_lqr`; where a part is nonlinear
+PREVIEW = 0.5  # [s] beyond which the cost falls by less than 1e-4 of it
+
+
+def seen_through(scenario: Scenario) -> Scenario:
+    """Return the scenario as the clairvoyant meets it: full state, preview, no delay, same plants."""
+    uncertainty = replace(scenario.uncertainty, delay=None)
+    return replace(scenario, sensing=Sensing(preview=PREVIEW), delay=0.0, uncertainty=uncertainty)
+
+
+def true_plants(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> list[Scenario]:
+    """Return the scenario with the plant that each earthquake's lane of a roll-out draws."""
+    if not scenario.uncertainty.active:
+        return [scenario] * len(earthquakes)
+    plants = []
+    for quake in earthquakes:
+        stream = np.random.default_rng(quake.seed)
+        quake.motion.pick(stream)  # a set of motions draws before the plant does
+        plants.append(replace(scenario.drawn(stream), uncertainty=Uncertainty()))
+    return plants
+
+
+class PerLane:
+    """One controller for each table of a batch.
+
+    Parameters
+    ----------
+    controllers
+        One a lane.
+
+    Raises
+    ------
+    ParameterError
+        In `predict`, if the batch has another number of lanes.
+    """
+
+    def __init__(self, controllers: Sequence[Controller]) -> None:
+        self.controllers = list(controllers)
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: tuple[Any, ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
+        """Return the actions (N, 1) for observations (N, n), each by its lane's controller."""
+        if observation.ndim != 2 or len(observation) != len(self.controllers):
+            raise ParameterError(
+                "observation shape", observation.shape, f"needs {len(self.controllers)} lanes"
+            )
+        memories = (None,) * len(observation) if state is None else state
+        actions, kept = [], []
+        for lane, controller in enumerate(self.controllers):
+            begins = None if episode_start is None else episode_start[lane : lane + 1]
+            action, memory = controller.predict(observation[lane], memories[lane], begins, deterministic)
+            actions.append(action)
+            kept.append(memory)
+        return np.stack(actions), tuple(kept)
+
+
+class _Rows:
+    """Linear laws of one row a lane."""
+
+    def __init__(self, rows: NDArray[np.float64]) -> None:
+        self._rows = rows
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: tuple[Any, ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
+        action = np.clip(np.sum(observation * self._rows, axis=-1), -1.0, 1.0)
+        return action[..., None].astype(np.float32), None
+
+
+def clairvoyant(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[Scenario, Controller]:
+    """Return the scenario to run the clairvoyant on, and the clairvoyant of these earthquakes.
+
+    Parameters
+    ----------
+    scenario
+        What others are compared on.
+    earthquakes
+        One a lane of the roll-out, in order: their seeds fix the plants.
+    """
+    seen = seen_through(scenario)
+    plants = true_plants(seen, earthquakes)
+    nominal = seen.plant.state_scale
+    rows: dict[Any, NDArray[np.float64]] = {}
+    for plant in plants:
+        key = (plant.actuator, plant.specimen)
+        if key not in rows:
+            # Observations are over the nominal plant's scale, whatever plant was drawn.
+            position = POSITION if plant.nonlinearity.active else None
+            design = preview_lqr(plant.discrete, plant.stage_cost, PREVIEW, position=position)
+            row = PreviewFeedback(plant, design).row.copy()
+            row[: len(nominal)] *= nominal / plant.plant.state_scale
+            row[seen.observation.preview] *= np.sqrt(
+                seen.plant.target_variance / plant.plant.target_variance
+            )
+            rows[key] = row
+    return seen, _Rows(np.stack([rows[plant.actuator, plant.specimen] for plant in plants]))

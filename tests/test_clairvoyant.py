@@ -1,0 +1,54 @@
+"""The controller that knows too much, and one controller a lane."""
+
+import numpy as np
+import pytest
+
+from baselines.clairvoyant import PerLane, clairvoyant, true_plants
+from baselines.lqr import lqr
+from baselines.preview_lqr import PreviewFeedback
+from shake_env import NoControl, make_scenario
+from shake_env.errors import ParameterError
+from shake_env.rollout import noise_earthquakes, rollout
+from shake_env.simulation import Simulation
+
+
+def test_true_plants_are_those_that_the_roll_out_draws():
+    scenario = make_scenario("unknown-specimen", {"duration": 1.0})
+    quakes = noise_earthquakes(scenario, 5, seed=3)
+    simulation = Simulation(scenario, 5)
+    simulation.start(
+        range(5), [np.random.default_rng(q.seed) for q in quakes], [q.motion for q in quakes]
+    )
+    for expected, found in zip(simulation.fleet.plants, true_plants(scenario, quakes), strict=True):
+        np.testing.assert_allclose(found.specimen.masses, expected.specimen.masses)
+        np.testing.assert_allclose(found.specimen.stiffnesses, expected.specimen.stiffnesses)
+
+
+def test_knowing_the_plant_beats_knowing_its_middle():
+    scenario = make_scenario("unknown-specimen", {"duration": 3.0})
+    quakes = noise_earthquakes(scenario, 6, seed=3)
+    seen, controller = clairvoyant(scenario, quakes)
+    knowing, _ = rollout(controller, seen, quakes)
+    middle, _ = rollout(PreviewFeedback(seen), seen, quakes)
+    assert all(a.cost < b.cost for a, b in zip(knowing, middle, strict=True))
+    assert all(row.base_shear_rms_error < 0.05 for row in knowing)
+
+
+def test_without_uncertainty_it_is_preview_lqr_and_its_analytic_cost():
+    scenario = make_scenario("linear", {"duration": 2.0})
+    quakes = noise_earthquakes(scenario, 3)
+    seen, controller = clairvoyant(scenario, quakes)
+    one, _ = rollout(controller, seen, quakes)
+    two, _ = rollout(PreviewFeedback(seen), seen, quakes)
+    np.testing.assert_allclose([a.cost for a in one], [b.cost for b in two], rtol=1e-5)
+
+
+def test_one_controller_a_lane():
+    scenario = make_scenario("linear", {"duration": 1.0})
+    quakes = noise_earthquakes(scenario, 2)
+    mixed, _ = rollout(PerLane([lqr(scenario), NoControl()]), scenario, quakes)
+    alone, _ = rollout(lqr(scenario), scenario, quakes[:1])
+    idle, _ = rollout(NoControl(), scenario, quakes)
+    assert mixed[0].cost == pytest.approx(alone[0].cost) and mixed[1].cost == idle[1].cost
+    with pytest.raises(ParameterError, match="2 lanes"):
+        PerLane([lqr(scenario), NoControl()]).predict(np.zeros((3, 14), dtype=np.float32))

@@ -1,0 +1,84 @@
+"""The search of a controller's free parameters: budget, resumption, and that it finds what is there."""
+
+import json
+
+import numpy as np
+import pytest
+
+from agents.__main__ import main
+from agents.tune import FAILED, keep, tune
+from baselines import registry
+from baselines.lqr import LinearFeedback, sampled_lqr
+from baselines.registry import Baseline, Tunable, make_baseline
+from shake_env import make_scenario
+from shake_env.errors import NumericalError, ParameterError, ScenarioError
+
+SHORT = make_scenario("linear", {"duration": 0.5})  # 100 control periods
+
+
+def scaled_lqr(scenario, *, share, offset=0.0):
+    """LQR's gain times a share: at 1 it is the optimum, so that a search has something to find."""
+    if share > 4.0:
+        raise NumericalError("share", share, "too large a gain for this test")
+    return LinearFeedback(scenario, share * sampled_lqr(scenario.discrete, scenario.stage_cost).gain)
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    tunable = {"share": Tunable(0.1, 8.0, 0.2)}
+    entry = Baseline(scaled_lqr, "LQR's gain times a share", tunable)
+    monkeypatch.setitem(registry.BASELINES, "scaled", entry)
+
+
+def test_it_finds_the_optimum_within_its_budget(bench, tmp_path):
+    found = tune("scaled", SHORT, tmp_path / "t.db", budget=25 * 800, earthquakes=8)
+    assert found.trials == 25 and found.table_steps == 25 * 800
+    assert found.cost < 0.5 * found.default_cost < FAILED
+    assert 0.6 < found.parameters["share"] < 1.6
+
+
+def test_a_search_goes_on_where_it_stopped(bench, tmp_path):
+    storage = tmp_path / "t.db"
+    first = tune("scaled", SHORT, storage, budget=4 * 800, earthquakes=8)
+    told = []
+    again = tune(
+        "scaled", SHORT, storage, budget=6 * 800, earthquakes=8, on_trial=lambda *a: told.append(a[:2])
+    )
+    assert first.trials == 4 and again.trials == 6 and told == [(5, 6), (6, 6)]
+    assert again.cost <= first.cost and again.default_cost == first.default_cost
+    same = tune("scaled", SHORT, tmp_path / "u.db", budget=4 * 800, earthquakes=8)
+    assert same.parameters == first.parameters  # the seed decides
+
+
+def test_kept_results_are_what_the_registry_takes(bench, tmp_path, monkeypatch):
+    file = tmp_path / "tuned.json"
+    found = tune("scaled", SHORT, tmp_path / "t.db", budget=3 * 800, earthquakes=8)
+    keep(found, file)
+    monkeypatch.setattr(registry, "_tuned", lambda: json.loads(file.read_text()))
+    row = make_baseline("scaled", SHORT)._row
+    expected = scaled_lqr(SHORT, **found.parameters)._row
+    np.testing.assert_array_equal(row, expected)
+    with pytest.raises(ScenarioError, match="parameter of scaled"):
+        make_baseline("scaled", SHORT, {"shar": 1.0})
+
+
+def test_command_prints_one_json_object(bench, tmp_path, capsys):
+    arguments = ["tune", "scaled", "--duration", "0.5", "--budget", "1600", "--earthquakes", "8"]
+    assert main([*arguments, "--storage", str(tmp_path / "t.db"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["trials"] == 2 and found["controller"] == "scaled"
+
+
+@pytest.mark.parametrize(
+    ("name", "budget", "error"),
+    [("absent", 10_000, ScenarioError), ("lqr", 10_000, ParameterError), ("scaled", 10, ParameterError)],
+)
+def test_what_cannot_be_searched_is_named(bench, tmp_path, name, budget, error):
+    with pytest.raises(error):
+        tune(name, SHORT, tmp_path / "t.db", budget=budget, earthquakes=8)
+
+
+def test_a_tunable_range_must_hold_its_default():
+    for values in ((2.0, 1.0, 1.5), (0.0, 1.0, 0.5), (1.0, 2.0, 3.0)):
+        with pytest.raises(ParameterError, match="tunable range"):
+            Tunable(*values)
