@@ -42,8 +42,8 @@ class AnalyticPolicyGradient(BaseAlgorithm):
     is zero and the critic is left alone. The policy is SB3's own: PPO goes on from its parameters,
     and the other way round. Exploration is neither needed nor learned: ``log_std`` stays.
 
-    A callback's ``on_rollout_start`` comes before each window, ``on_step`` and ``on_rollout_end`` after it;
-    ``num_timesteps`` counts control periods of all tables.
+    A callback's ``on_rollout_start`` comes before each window, ``on_step`` and ``on_rollout_end`` after
+    it; ``num_timesteps`` counts control periods of all tables.
 
     Parameters
     ----------
@@ -136,7 +136,9 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.target_rate = target_rate
         self.plant_dtype = plant_dtype
         self.stagger = stagger
-        self.memory: torch.Tensor | None = None  # (N, units) of a recurrent policy, at the window's start
+        self.memory: torch.Tensor | None = (
+            None  # (N, units) of a recurrent policy, at the window's start
+        )
         self._tables: TorchTables | None = None
         if _init_setup_model:
             self._setup_model()
@@ -236,9 +238,9 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         Returns
         -------
         loss, window, seen
-            What the actor descends: the mean discounted stage cost of the window and of what follows it, in
-            units of the environment's reward; the window; and what the critic sees at its H + 1 ends of
-            control periods.
+            What the actor descends: the mean discounted stage cost of the window and of what follows it,
+            in units of the environment's reward; the window; and what the critic sees at its H + 1 ends
+            of control periods.
         """
         memory, weights = self._begin(), self.policy.action_net.weight
         seen: list[torch.Tensor] = []
@@ -287,8 +289,11 @@ class AnalyticPolicyGradient(BaseAlgorithm):
             assert memory is not None  # `_begin` made it
             seen, memory = self.policy.recall(observation, memory)
             return (seen, seen), memory
-        features = self.policy.extract_features(observation)
-        return (features if isinstance(features, tuple) else (features, features)), None
+        # The extractors themselves: SB3's preprocessing of a Box is a cast to single precision.
+        actor: torch.Tensor = self.policy.pi_features_extractor(observation)
+        if self.policy.share_features_extractor:
+            return (actor, actor), None
+        return (actor, self.policy.vf_features_extractor(observation)), None
 
     @staticmethod
     def _value(policy: ActorCriticPolicy, seen: torch.Tensor) -> torch.Tensor:

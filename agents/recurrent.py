@@ -14,15 +14,16 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.distributions import Distribution
 from stable_baselines3.common.policies import ActorCriticPolicy
-from stable_baselines3.common.torch_layers import MlpExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
+
+from agents.direct import DirectActor, begin_still
 
 
 class GRUPolicy(ActorCriticPolicy):
-    """Features, a gated recurrent unit (Cho et al., 2014) over them, then SB3's two networks over both.
+    """Features, a gated recurrent unit (Cho et al., 2014) over them, then a `DirectActor` over both.
 
-    :meth:`predict` passes the unit's output as SB3's recurrent state. Methods that SB3 gives no state
-    to (``forward``, ``evaluate_actions``, ``predict_values``) see a memory at rest, as an episode begins.
+    :meth:`predict` passes the unit's output as SB3's recurrent state. Methods that SB3 gives no state to
+    (``forward``, ``evaluate_actions``, ``predict_values``) see a memory at rest, as an episode begins.
 
     Parameters
     ----------
@@ -50,12 +51,16 @@ class GRUPolicy(ActorCriticPolicy):
 
     def _build_mlp_extractor(self) -> None:
         self.gru = torch.nn.GRUCell(self.features_dim, self.units, device=self.device)
-        self.mlp_extractor = MlpExtractor(
+        self.mlp_extractor = DirectActor(
             self.features_dim + self.units,
             net_arch=self.net_arch,
             activation_fn=self.activation_fn,
             device=self.device,
         )
+
+    def _build(self, lr_schedule: Schedule) -> None:
+        super()._build(lr_schedule)
+        begin_still(self)
 
     def rest(self, lanes: int) -> torch.Tensor:
         """Return the memory (lanes, units) at the start of an episode."""
@@ -65,8 +70,7 @@ class GRUPolicy(ActorCriticPolicy):
         self, observation: torch.Tensor, memory: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return what both networks see (N, features + units), and the new memory (N, units)."""
-        features = super().extract_features(observation, self.features_extractor)
-        assert isinstance(features, torch.Tensor)  # the extractor is shared
+        features = self.features_extractor(observation)
         memory = self.gru(features, memory)
         return torch.cat([features, memory], dim=-1), memory
 
@@ -96,7 +100,7 @@ class GRUPolicy(ActorCriticPolicy):
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[np.float32], ...]]:
-        """Return the action for an observation (n,) or (N, n), and the memory as a tuple of one array."""
+        """Return the action for an observation (n,) or (N, n), and the memory in a tuple."""
         self.set_training_mode(False)
         rows, vectorized = self.obs_to_tensor(observation)
         assert isinstance(rows, torch.Tensor)

@@ -172,7 +172,7 @@ class ShakeTableVecEnv(VecEnv):
         return self._observation.copy(), done, infos
 
     def stagger(self) -> None:
-        """Shorten the first episode of each lane, so that from then on they stand at different places."""
+        """Shorten the first episode of each lane, so that they come to stand at different places."""
         steps = self.simulation.episode_steps
         shares = (np.arange(self.num_envs) + 1.0) / self.num_envs
         steps[:] = np.maximum(np.ceil(steps * shares), 1).astype(int)

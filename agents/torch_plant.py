@@ -32,9 +32,7 @@ class PeriodMap:
         basis = torch.eye(order + 1, dtype=dynamics.advance.dtype, device=dynamics.advance.device)
         basis = basis.reshape(order + 1, *(1 for _ in batch), order + 1).expand(-1, *batch, -1)
         response = dynamics.control_step(basis[..., :-1], basis[..., -1])
-        columns = torch.cat(
-            [response.state, response.table_acceleration, response.base_shear], dim=-1
-        )
+        columns = torch.cat([response.state, response.table_acceleration, response.base_shear], dim=-1)
         return cls(columns.movedim(0, -1).contiguous(), order, dynamics.substeps)
 
     def control_step(

@@ -83,7 +83,7 @@ class TorchTables:
         return self._model
 
     def roll(self, act: Act, steps: int) -> Window:
-        """Follow the tables over `steps` control periods; :meth:`commit` makes the environment go on there.
+        """Follow the tables over `steps` control periods; :meth:`commit` puts the environment there.
 
         Parameters
         ----------

@@ -93,8 +93,8 @@ class TableModel:
     def judge(self, response: PeriodResponse, current: Array, ground: GroundPeriod) -> Outcome:
         """Return what a response costs and which limits it breaks.
 
-        Nothing in it feeds back into the table, so that a whole window of periods, stacked along a leading
-        axis, can be judged at once.
+        Nothing in it feeds back into the table, so that a whole window of periods, stacked along a
+        leading axis, can be judged at once.
 
         Parameters
         ----------
