@@ -93,7 +93,7 @@ class AnalyticOptions:
     window in which a loop rang counts no more than others."""
     terminal_value: bool = False
     """Whether a learned value stands at the window's end (SHAC). A window outlasts most of what a table
-    remembers, and a critic's slope is less certain than its value: it pays where windows must be short."""
+    remembers, and a critic's slope is less certain than its value: for short windows."""
     td_lambda: float = 0.95
     """Lambda of the critic's targets [-], with a terminal value."""
     memory: int = 0

@@ -148,7 +148,7 @@ def _analytic(
     else:
         kind = ScaleFreeDirectPolicy if analytic.scale_free else DirectPolicy
     # Exact gradients need no long averages: short ones forget a window in which the loop rang. SB3's
-    # epsilon of 1e-5 is of the size of the gradient's entries near the optimum, and would stop Adam there.
+    # epsilon of 1e-5 is of the size of the gradient's entries near the optimum: Adam would stop there.
     policy["optimizer_kwargs"] = {"betas": (0.7, 0.95), "eps": 1e-8}
     policy["log_std_init"] = -3.0  # for PPO to go on from
     return AnalyticPolicyGradient(

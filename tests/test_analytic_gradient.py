@@ -96,7 +96,7 @@ def test_gradient_of_a_windows_cost_agrees_with_finite_differences(name, overrid
                 torch.nn.utils.vector_to_parameters(moved, model._actor)
                 sides.append(loss().item())
             numeric = (sides[0] - sides[1]) / (2.0 * step)
-            # A random direction is nearly orthogonal to the gradient: the error is held against its norm.
+            # A random direction is nearly orthogonal to the gradient: its norm is the measure.
             assert abs(gradient @ direction - numeric) < 1e-5 * np.linalg.norm(gradient)
 
 
