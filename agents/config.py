@@ -87,10 +87,10 @@ class AnalyticOptions:
     """Highest learning rate; it rises over the warm-up and then falls linearly to zero."""
     warmup: float = 0.05
     """Share of the run over which the learning rate rises. The first gradients all point one way, and at
-    full rate would carry the loop's gain past what is stable."""
-    max_grad_norm: float = 0.05
-    """Bound on the gradient's norm, in rewards per unit of weight: a few times what is usual, so that a
-    window in which a loop rang counts no more than others."""
+    full rate may carry the loop's gain past what is stable."""
+    max_grad_norm: float = 10.0
+    """Bound on the gradient's norm, in stage costs (at unit amplitude) per unit of weight: of the size
+    of what is usual, so that a window in which a loop rang counts no more than others."""
     terminal_value: bool = False
     """Whether a learned value stands at the window's end (SHAC). A window outlasts most of what a table
     remembers, and a critic's slope is less certain than its value: for short windows."""

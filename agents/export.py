@@ -58,16 +58,22 @@ def export_policy(model: BaseAlgorithm, env: ShakeTableVecEnv, card: dict[str, A
         if isinstance(model.policy, GRUPolicy):
             gru = model.policy.gru
             memory = GatedUnit(
-                *(_numpy(part) for part in (gru.weight_ih, gru.weight_hh, gru.bias_ih, gru.bias_hh))
+                _numpy(gru.weight_ih * features.sizes),
+                *(_numpy(part) for part in (gru.weight_hh, gru.bias_ih, gru.bias_hh)),
             )
     linear = [module for module in (*hidden, last) if isinstance(module, torch.nn.Linear)]
     kinds = {type(module) for module in hidden} - {torch.nn.Linear}
     if len(kinds) != 1 or not kinds <= set(_ACTIVATIONS):
         raise PolicyFileError("activations", sorted(str(k) for k in kinds), "must all be Tanh or ReLU")
     weights = [_numpy(layer.weight) for layer in linear]
+    # Sizes of features go into the weights that read them, so that a file needs no word for them.
+    sizes, count = _numpy(features.sizes), len(features.matrix)
+    weights[0][:, :count] *= sizes
     if direct:
         entering = model.policy.mlp_extractor.feature_dim
         weights[-1][:, -entering:] *= np.float32(DIRECT_GAIN)
+        first = weights[-1].shape[1] - entering
+        weights[-1][:, first : first + count] *= sizes
     return PolicyFile(
         matrix=_numpy(features.matrix),
         feature_clip=features.clip,

@@ -30,6 +30,8 @@ def feature_matrix(scenario: Scenario) -> FloatArray:
     Measured signals
         Table acceleration, velocity and displacement become their errors from the target's, as far as
         the ground filter's state holds them, and the spool position the flow as above.
+    Friction
+        The table's velocity once more, so steep that its clip has the shape of the friction force.
     Preview
         Each sample becomes its difference from the one before it; the first, from the target now.
     """
@@ -54,7 +56,37 @@ def feature_matrix(scenario: Scenario) -> FloatArray:
     motion = scenario.motion
     if isinstance(motion, FilteredNoise) and motion.amplitude > 0.0:
         matrix[signals] /= motion.amplitude
-    return matrix[kept]
+    matrix = matrix[kept]
+    steep = _steep_velocity(scenario)
+    return matrix if steep is None else np.vstack([matrix, steep])
+
+
+def feature_sizes(scenario: Scenario) -> FloatArray:
+    """Return what each clipped feature (features,) of :func:`feature_matrix` is multiplied by."""
+    sizes = np.ones(len(feature_matrix(scenario)))
+    if _steep_velocity(scenario) is not None:
+        sizes[-1] = 1.0 / CLIP
+    return sizes
+
+
+def _steep_velocity(scenario: Scenario) -> FloatArray | None:
+    """Return a row that reaches the clip at twice friction's smoothing velocity; None without friction.
+
+    Clipped, it has the shape of the friction force. A network would have to make that from a velocity a
+    hundred times as large, by weights a hundred times as large.
+    """
+    shown, friction = scenario.observation, scenario.nonlinearity.friction
+    row = np.zeros(shown.size)
+    if scenario.sensing.full_state:
+        place = scenario.plant.layout.table_velocity
+        scale = float(scenario.plant.state_scale[place])
+    elif "table_velocity" in shown.reading_names:
+        reading = shown.reading_names.index("table_velocity")
+        place, scale = shown.readings.start + reading, float(shown.reading_scale[reading])
+    else:
+        return None
+    row[place] = CLIP * scale / (2.0 * friction.smoothing_velocity)
+    return row if friction.active else None
 
 
 def _target(scenario: Scenario) -> FloatArray:
@@ -111,6 +143,7 @@ def _flow_of_velocity(scenario: Scenario) -> float:
     return float(flow)
 
 
+CLIP = 20.0  # far outside what a working controller meets
 ERROR_SHARE = 0.3  # errors of a table under control are of the order of 10 to 40 % of the target
 PREVIEW_SHARE = 0.4  # of its rms is what the target changes by in 5 ms
 FLOW_SHARE = 0.03  # the oil is stiff: of the flow through the valve a few percent compress it
@@ -126,18 +159,31 @@ class LinearFeatures(BaseFeaturesExtractor):
     matrix
         (features, n) what :func:`feature_matrix` returned.
     clip
-        Bound of a feature; far outside what a working controller meets.
+        Bound of a feature.
+    sizes
+        (features,) what :func:`feature_sizes` returned; None: ones.
     """
 
     def __init__(
-        self, observation_space: spaces.Box, matrix: list[list[float]], clip: float = 20.0
+        self,
+        observation_space: spaces.Box,
+        matrix: list[list[float]],
+        clip: float = CLIP,
+        sizes: list[float] | None = None,
     ) -> None:
         rows: NDArray[np.float32] = np.asarray(matrix, dtype=np.float32)
         super().__init__(observation_space, features_dim=len(rows))
         self.clip = clip
         self.matrix: torch.Tensor
         self.register_buffer("matrix", torch.from_numpy(rows))
+        self.sizes: torch.Tensor
+        ones = np.ones(len(rows), dtype=np.float32)
+        given = ones if sizes is None else np.asarray(sizes, dtype=np.float32)
+        self.scaled = bool(np.any(given != 1.0))
+        # Not persistent, so that policies of before there were sizes still load.
+        self.register_buffer("sizes", torch.from_numpy(given), persistent=False)
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Return features (batch, features)."""
-        return torch.clamp(observations @ self.matrix.T, -self.clip, self.clip)
+        features = torch.clamp(observations @ self.matrix.T, -self.clip, self.clip)
+        return features * self.sizes if self.scaled else features

@@ -11,7 +11,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from agents.analytic_gradient import AnalyticPolicyGradient
 from agents.config import TrainConfig
 from agents.direct import DirectPolicy
-from agents.features import LinearFeatures, feature_matrix
+from agents.features import LinearFeatures, feature_matrix, feature_sizes
 from agents.recurrent import GRUPolicy
 from agents.sb3_vec_env import ShakeTableVecEnv
 from shake_env.scenario import Scenario
@@ -92,7 +92,10 @@ def new_model(config: TrainConfig, scenario: Scenario, env: ShakeTableVecEnv) ->
         # The linear optimum is a linear law, which rectifiers can represent exactly and tanh cannot.
         "activation_fn": torch.nn.ReLU,
         "features_extractor_class": LinearFeatures,
-        "features_extractor_kwargs": {"matrix": feature_matrix(scenario).tolist()},
+        "features_extractor_kwargs": {
+            "matrix": feature_matrix(scenario).tolist(),
+            "sizes": feature_sizes(scenario).tolist(),
+        },
     }
     gamma = config.discount(scenario.control_period)
     if config.algorithm == "ppo":
@@ -158,7 +161,7 @@ def _analytic(
         window=analytic.window,
         gamma=gamma,
         td_lambda=analytic.td_lambda,
-        max_grad_norm=analytic.max_grad_norm,
+        max_grad_norm=analytic.max_grad_norm * (1.0 - gamma),  # rewards are scaled by that, too
         terminal_value=analytic.terminal_value,
         plant_dtype=analytic.precision,
         seed=config.seed,

@@ -54,7 +54,7 @@ class TrainResult:
     seconds: float
     cost_ratio: float
     cost: float
-    lqr_cost: float  # of the reference: LQR, or the clairvoyant where LQR is none (see _reference_cost)
+    lqr_cost: float  # of the reference: LQR, or the clairvoyant where LQR is none (see _reference)
 
 
 def train(
@@ -120,8 +120,14 @@ def _tables(config: TrainConfig, scenario: Scenario) -> ShakeTableVecEnv:
         authority=chosen.authority,
         # Values are then of the size of a stage cost. Unscaled they are 1 / (1 - gamma) times that, and
         # the value function spends thousands of steps growing while the policy follows its noise.
-        reward_scale=1.0 - config.discount(scenario.control_period),
+        # Weak motions cost their amplitude's square less.
+        reward_scale=(1.0 - config.discount(scenario.control_period)) / _intensity(scenario),
     )
+
+
+def _intensity(scenario: Scenario) -> float:
+    motion = scenario.motion
+    return motion.amplitude**2 if isinstance(motion, FilteredNoise) and motion.amplitude else 1.0
 
 
 class _Watch(BaseCallback):
@@ -141,7 +147,7 @@ class _Watch(BaseCallback):
         self.earthquakes = noise_earthquakes(
             self.scenario, config.evaluation_earthquakes, EVALUATION_SEED
         )
-        self.lqr_cost = _reference_cost(self.scenario, self.earthquakes)
+        self.earthquakes, self.lqr_cost = _reference(self.scenario, self.earthquakes)
         self.started = time.monotonic()
         self.evaluated = self.saved = self.told = -np.inf
         self.cost_ratio: float | None = None
@@ -192,10 +198,12 @@ def _mean_cost(controller: Any, watch: _Watch) -> float:
     return float(np.mean([m.cost for m in metrics]))
 
 
-def _reference_cost(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> float:
-    """Return the mean cost of LQR, or where it cannot be used as it stands, of the clairvoyant.
+def _reference(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[list[Earthquake], float]:
+    """Return the earthquakes that the reference lasts through, and its mean cost on them.
 
-    LQR needs the full state of a table that it knows, answers at once and may drift as far as it likes.
+    The reference is LQR, or where that cannot be used as it stands, the clairvoyant: LQR needs the full
+    state of a table that it knows, answers at once and may drift as far as it likes. An earthquake that
+    takes the reference to a limit costs so much that it would be the whole of a mean.
     """
     suits = scenario.sensing.full_state and not scenario.delay and not scenario.uncertainty.active
     if suits and scenario.limits.table_displacement is None:
@@ -203,7 +211,8 @@ def _reference_cost(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> fl
     else:
         seen, controller = clairvoyant(scenario, earthquakes)
         metrics, _ = rollout(controller, seen, earthquakes)
-    return float(np.mean([m.cost for m in metrics]))
+    lasting = [i for i, m in enumerate(metrics) if m.broken_limit is None] or range(len(metrics))
+    return [earthquakes[i] for i in lasting], float(np.mean([metrics[i].cost for i in lasting]))
 
 
 def _run(

@@ -21,15 +21,16 @@ from shake_env import make_scenario
 from shake_env.errors import PolicyFileError
 
 
+@pytest.mark.parametrize("friction", [0.0, 300.0])
 @pytest.mark.parametrize("algorithm", ["ppo", "sac", "analytic"])
-def test_a_file_gives_the_action_that_sb3_gives(algorithm, tmp_path):
+def test_a_file_gives_the_action_that_sb3_gives(algorithm, friction, tmp_path):
     config = TrainConfig(
         algorithm=algorithm,
         ppo=PPOOptions(tables=2, rollout_steps=8, batch_size=16),
         sac=SACOptions(tables=2, buffer_size=100),
         analytic=AnalyticOptions(tables=2),
     )
-    scenario = make_scenario()
+    scenario = make_scenario("linear", {"fields": {"nonlinearity.friction.coulomb": friction}})
     env = ShakeTableVecEnv(scenario, 2, base=base_row("flow", scenario), authority=0.25)
     model = new_model(config, scenario, env)
     # Fresh networks act near zero: larger weights show every layer and both ends of the clipping.
@@ -89,8 +90,9 @@ def test_features_are_an_invertible_map_of_what_can_be_observed(stories):
 def test_features_of_measured_signals_lose_nothing(name):
     scenario = make_scenario(name)
     matrix = feature_matrix(scenario)
-    assert matrix.shape == (scenario.observation.size,) * 2
-    assert np.linalg.cond(matrix) < 1e3
+    size = scenario.observation.size
+    assert np.linalg.matrix_rank(matrix) == size
+    assert np.linalg.cond(matrix[:size]) < 1e3  # without the velocity that friction repeats
 
 
 def test_features_of_measured_signals_are_errors_from_the_target():

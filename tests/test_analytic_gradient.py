@@ -10,7 +10,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from agents.analytic_gradient import AnalyticPolicyGradient
 from agents.base_law import base_row
 from agents.config import AnalyticOptions, TrainConfig
-from agents.features import LinearFeatures, feature_matrix
+from agents.features import LinearFeatures, feature_matrix, feature_sizes
 from agents.models import DirectPolicy, new_model
 from agents.recurrent import GRUPolicy
 from agents.sb3_vec_env import ShakeTableVecEnv
@@ -32,7 +32,10 @@ def policy_options(scenario, **options):
         "net_arch": [16],
         "activation_fn": torch.nn.Tanh,
         "features_extractor_class": LinearFeatures,
-        "features_extractor_kwargs": {"matrix": feature_matrix(scenario).tolist()},
+        "features_extractor_kwargs": {
+            "matrix": feature_matrix(scenario).tolist(),
+            "sizes": feature_sizes(scenario).tolist(),
+        },
         **options,
     }
 
