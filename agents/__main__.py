@@ -18,6 +18,7 @@ try:
 except ImportError as missing:  # the environment and LQR install without the command line's packages
     sys.exit(f"shake: {missing.name} is not installed: pip install 'shake-env[agents]'")
 
+from agents.bench_command import Bench
 from agents.components_command import Components
 from agents.config import TrainConfig
 from agents.motion_command import Motion, MotionOptions, motion_earthquakes
@@ -26,6 +27,7 @@ from agents.progress import progress_bar
 from agents.scenario_command import ShowScenario
 from agents.tune_command import Tune
 from agents.validate_command import Validate
+from agents.watch_command import Watch
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,6 +200,7 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {
+    "bench": Bench,
     "compare": Compare,
     "components": Components,
     "design": Design,
@@ -207,6 +210,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "train": Train,
     "tune": Tune,
     "validate": Validate,
+    "watch": Watch,
 }
 
 

@@ -16,7 +16,9 @@ from scipy.stats import bootstrap
 import shake_env
 from agents.fidelity import Fidelity, fidelity
 from agents.policy_file import load_policy
-from baselines.registry import BASELINES, make_baseline, reference_name
+from baselines.catalogue import BASELINES
+from baselines.clairvoyant import clairvoyant
+from baselines.registry import make_baseline, reference_name
 from shake_env.controller import Controller
 from shake_env.errors import NumericalError, ParameterError, PolicyFileError, ScenarioError, unknown
 from shake_env.metrics import EpisodeMetrics
@@ -33,6 +35,7 @@ FIGURES = (
     "base_shear_peak_error",
 )
 PEAKS = ("peak_current", "peak_velocity", "peak_displacement")
+CLAIRVOYANT = "clairvoyant"  # what regret is counted from, see `baselines.clairvoyant`
 ALL = "all"  # stands for every classical controller that suits the scenario
 
 
@@ -80,10 +83,10 @@ class Comparison:
         return {
             "version": shake_env.__version__,
             "settings": settings,
-            "summaries": [_plain(asdict(summary)) for summary in self.summaries],
+            "summaries": [plain_row(asdict(summary)) for summary in self.summaries],
             "episodes": {
                 name: [
-                    _plain(asdict(m) | asdict(f))
+                    plain_row(asdict(m) | asdict(f))
                     for m, f in zip(rows, self.fidelities[name], strict=True)
                 ]
                 for name, rows in self.episodes.items()
@@ -100,19 +103,21 @@ def shipped_policy() -> Path:
 
 
 def named_controllers(
-    names: Sequence[str], scenario: Scenario
+    names: Sequence[str], scenario: Scenario, earthquakes: Sequence[Earthquake] | None = None
 ) -> tuple[dict[str, Controller], list[str]]:
     """Return controllers by name, and what had to be left out.
 
     Parameters
     ----------
     names
-        Names of `baselines.registry`, ``all`` for every one of them that suits the scenario, ``policy``
-        (the shipped one) or paths of policy files and run directories. The reference, which costs are
-        relative to, is always among them.
+        Names of `baselines.catalogue`, ``all`` for every one of them that suits the scenario, ``policy``
+        (the shipped one), ``clairvoyant`` or paths of policy files and run directories. The reference,
+        which costs are relative to, is always among them.
     scenario
         What they drive. What ``all`` or ``policy`` stand for is left out where it does not suit; what is
         named raises.
+    earthquakes
+        One a lane; needed by controllers that repeat their tests beforehand.
 
     Raises
     ------
@@ -122,15 +127,20 @@ def named_controllers(
         If a named policy cannot be read or does not fit the scenario.
     """
     reference = reference_name(scenario)
-    controllers: dict[str, Controller] = {reference: make_baseline(reference, scenario)}
+    controllers: dict[str, Controller] = {
+        reference: make_baseline(reference, scenario, None, earthquakes)
+    }
     skipped = []
     for name in names:
         if name == ALL:
             for each in BASELINES:
                 try:
-                    controllers.setdefault(each, make_baseline(each, scenario))
+                    if each not in controllers:
+                        controllers[each] = make_baseline(each, scenario, None, earthquakes)
                 except (ScenarioError, NumericalError) as error:
                     skipped.append(f"{each} ({error})")
+        elif name == CLAIRVOYANT:
+            continue  # runs on a scenario of its own: `compare` sees to it
         elif name == SHIPPED:
             policy = load_policy(shipped_policy())
             try:
@@ -139,13 +149,14 @@ def named_controllers(
             except PolicyFileError as error:
                 skipped.append(f"the shipped policy ({error})")
         elif name in BASELINES:
-            if name == "lqr" and name != reference:
+            if name == "lqr" and not scenario.sensing.full_state:
                 # A default that names LQR should not stop a scenario that does not show its state.
                 skipped.append(f"lqr (the scenario shows measured signals: {reference} estimates it)")
                 continue
-            controllers.setdefault(name, make_baseline(name, scenario))
+            if name not in controllers:
+                controllers[name] = make_baseline(name, scenario, None, earthquakes)
         elif not (Path(name).exists() or "/" in name or "." in name):
-            raise unknown(ScenarioError, "controller", name, [*BASELINES, ALL, SHIPPED])
+            raise unknown(ScenarioError, "controller", name, [*BASELINES, ALL, CLAIRVOYANT, SHIPPED])
         else:
             path = Path(name)
             policy = load_policy(path / "policy.safetensors" if path.is_dir() else path)
@@ -213,8 +224,11 @@ def compare(
         "filtered noise": range(noisy, len(earthquakes)),
     }
     traced = _strongest(recorded) if recorded and not motions else 0
-    controllers, skipped = named_controllers(names, scenario)
+    controllers, skipped = named_controllers(names, scenario, earthquakes)
     reference = next(iter(controllers))
+    driven = dict.fromkeys(controllers, scenario)
+    if CLAIRVOYANT in names:
+        driven[CLAIRVOYANT], controllers[CLAIRVOYANT] = clairvoyant(scenario, earthquakes)
     episodes: dict[str, list[EpisodeMetrics]] = {}
     fidelities: dict[str, list[Fidelity]] = {}
     latency: dict[str, float] = {}
@@ -225,12 +239,14 @@ def compare(
             on_progress(name, share)
 
         episodes[name], found = rollout(
-            controller, scenario, earthquakes, record=range(len(earthquakes)), on_step=told
+            controller, driven[name], earthquakes, record=range(len(earthquakes)), on_step=told
         )
         traces[name] = found[traced]
         step, stories = scenario.physics_step, scenario.specimen.stories
         fidelities[name] = [fidelity(found[i], step, stories) for i in range(len(earthquakes))]
-        latency[name] = decision_time(controller, scenario)
+        # What is made for each lane's own earthquake or plant has no decision for one table to time.
+        own = name == CLAIRVOYANT or (name in BASELINES and BASELINES[name].repeats_tests)
+        latency[name] = float("nan") if own else decision_time(controller, scenario)
     summaries = [
         summarise(
             name,
@@ -287,7 +303,7 @@ def summarise(
     )
 
 
-def _plain(row: dict[str, Any]) -> dict[str, Any]:
+def plain_row(row: dict[str, Any]) -> dict[str, Any]:
     """Return a row for JSON, which has no NaN: what is not defined (a still table's lag) is null."""
     return {key: None if value != value else value for key, value in row.items()}
 

@@ -68,7 +68,7 @@ def _cells(row: GroupSummary, reference: str) -> list[str]:
         f"{100 * row.spectral_error:.0f}",
         f"{row.arias_ratio:.2f}",
         f"{1e3 * row.peak_current:.0f} {row.peak_velocity:.2f} {1e3 * row.peak_displacement:4.0f}",
-        f"{1e6 * row.decision_time:.0f}",
+        f"{1e6 * row.decision_time:.0f}" if np.isfinite(row.decision_time) else "-",
     ]
 
 

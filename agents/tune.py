@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 import shake_env
-from baselines.registry import BASELINES, make_baseline
+from baselines.catalogue import BASELINES
+from baselines.registry import make_baseline
 from shake_env.errors import NumericalError, ParameterError, ScenarioError, ShakeError, unknown
 from shake_env.rollout import noise_earthquakes, rollout
 from shake_env.scenario import Scenario
@@ -87,6 +88,7 @@ def tune(
     if name not in BASELINES:
         raise unknown(ScenarioError, "controller", name, BASELINES)
     tunable = BASELINES[name].tunable
+    repeats = BASELINES[name].repeats_tests
     if not tunable:
         raise ParameterError("controller", name, "has no free parameter: its design decides everything")
     motions = noise_earthquakes(scenario, earthquakes, VALIDATION_SEED)
@@ -94,11 +96,13 @@ def tune(
     total = budget // steps
     if total < 1:
         raise ParameterError("budget", budget, f"one trial takes {steps} control periods")
-    make_baseline(name, scenario, {})  # says at once if the scenario does not suit it
+    quakes = motions if repeats else None
+    if not repeats:
+        make_baseline(name, scenario, {})  # says at once if the scenario does not suit it
 
     def cost(values: dict[str, float]) -> float:
         try:
-            controller = make_baseline(name, scenario, values)
+            controller = make_baseline(name, scenario, values, quakes)
             rows, _ = rollout(controller, scenario, motions)
         except NumericalError:
             return FAILED

@@ -2,7 +2,7 @@
 
 Regret is counted from what it reaches. On a linear plant it is within its preview of the best that any
 controller could do; with friction, limits or yielding storeys it is a linear law that knows everything,
-and a better one may exist. There it also minds its place, which is what holds friction's drift.
+and a better one may exist. Where the stroke is limited it also minds its place.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from shake_env.scenario import Scenario
 from shake_env.sensing import Sensing
 from shake_env.uncertainty import Uncertainty
 
-POSITION = 0.01  # [m] see `preview_lqr`; where a part is nonlinear
+POSITION = 0.05  # [m] see `preview_lqr`; where the stroke is limited
+FRICTION_POSITION = 0.01  # [m] where a part is nonlinear, too: holding the place holds friction's drift
 PREVIEW = 0.5  # [s] beyond which the cost falls by less than 1e-4 of it
 
 
@@ -118,7 +119,9 @@ def clairvoyant(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[
         key = (plant.actuator, plant.specimen)
         if key not in rows:
             # Observations are over the nominal plant's scale, whatever plant was drawn.
-            position = POSITION if plant.nonlinearity.active else None
+            position = None
+            if plant.limits.table_displacement is not None and plant.ground.states == 4:
+                position = FRICTION_POSITION if plant.nonlinearity.active else POSITION
             design = preview_lqr(plant.discrete, plant.stage_cost, PREVIEW, position=position)
             row = PreviewFeedback(plant, design).row.copy()
             row[: len(nominal)] *= nominal / plant.plant.state_scale

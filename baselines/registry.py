@@ -1,63 +1,29 @@
-"""Every classical controller by name: how it is made for a scenario, and what of it can be tuned.
+"""Classical controllers by name, with the values that were tuned for a scenario.
 
-A controller is designed on the nominal model alone; one that a scenario does not suit says so by a
-ScenarioError. Values that `shake tune` has found for a named scenario stand in ``tuned.json`` and are
-taken unless others are given.
+Values that `shake tune` has found for a named scenario stand in ``tuned.json`` and are taken unless
+others are given.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from importlib import resources
 from typing import Any
 
-from baselines.lqr import lqr
-from shake_env.controller import Controller, NoControl
-from shake_env.errors import ParameterError, ScenarioError, unknown
+from baselines.catalogue import BASELINES
+from shake_env.controller import Controller
+from shake_env.errors import ScenarioError, unknown
+from shake_env.rollout import Earthquake
 from shake_env.scenario import Scenario
 
 
-@dataclass(frozen=True)
-class Tunable:
-    """A free parameter of a controller, searched between `low` and `high`.
-
-    Raises
-    ------
-    ParameterError
-        Unless ``low <= default <= high``, above 0 where the search is logarithmic.
-    """
-
-    low: float
-    high: float
-    default: float
-    logarithmic: bool = True
-
-    def __post_init__(self) -> None:
-        ordered = self.low <= self.default <= self.high and self.low < self.high
-        if not ordered or (self.logarithmic and self.low <= 0.0):
-            raise ParameterError("tunable range", self, "needs low <= default <= high, above 0 if log")
-
-
-@dataclass(frozen=True)
-class Baseline:
-    """A classical controller that can be asked for by name."""
-
-    make: Callable[..., Controller]  # of a scenario, and its tunable parameters by keyword
-    summary: str
-    tunable: Mapping[str, Tunable] = field(default_factory=dict)
-
-
-BASELINES: dict[str, Baseline] = {
-    "none": Baseline(lambda scenario: NoControl(), "zero current: the table that does nothing"),
-    "lqr": Baseline(lqr, "sampled-data LQR on the full state"),
-}
-
-
 def make_baseline(
-    name: str, scenario: Scenario, parameters: Mapping[str, float] | None = None
+    name: str,
+    scenario: Scenario,
+    parameters: Mapping[str, float] | None = None,
+    earthquakes: Sequence[Earthquake] | None = None,
 ) -> Controller:
     """Return the controller called `name`, designed on a scenario's nominal model.
 
@@ -69,11 +35,14 @@ def make_baseline(
         What it is to drive.
     parameters
         Its tunable parameters; None takes what was tuned for the scenario's name, and defaults else.
+    earthquakes
+        One a lane of the roll-out; needed by a controller that repeats its tests beforehand.
 
     Raises
     ------
     ScenarioError
-        If there is none of that name, a parameter is unknown, or the scenario does not suit it.
+        If there is none of that name, a parameter is unknown, the scenario does not suit it, or it needs
+        earthquakes and none are given.
     """
     if name not in BASELINES:
         raise unknown(ScenarioError, "controller", name, BASELINES)
@@ -83,12 +52,21 @@ def make_baseline(
         if each not in baseline.tunable:
             raise unknown(ScenarioError, f"parameter of {name}", each, baseline.tunable)
     values = {each: tunable.default for each, tunable in baseline.tunable.items()} | chosen
-    return baseline.make(scenario, **values)
+    if not baseline.repeats_tests:
+        return baseline.make(scenario, **values)
+    if earthquakes is None:
+        raise ScenarioError("controller", name, "repeats its tests beforehand: use shake compare")
+    return baseline.make(scenario, earthquakes, **values)
 
 
 def tuned_parameters(name: str, scenario_name: str) -> dict[str, float]:
-    """Return the tuned parameters of a controller for a named scenario; none where nothing was tuned."""
-    found = _tuned().get(scenario_name, {}).get(name, {}).get("parameters", {})
+    """Return the tuned parameters of a controller for a named scenario; none where nothing was tuned.
+
+    What was tuned for `laboratory` holds for `records`, whose table is the same: nothing is tuned on the
+    records that controllers are judged by.
+    """
+    source = "laboratory" if scenario_name == "records" else scenario_name
+    found = _tuned().get(source, {}).get(name, {}).get("parameters", {})
     return {each: float(value) for each, value in found.items()}
 
 
@@ -102,5 +80,12 @@ def _tuned() -> dict[str, Any]:
 
 
 def reference_name(scenario: Scenario) -> str:
-    """Return the controller that costs are relative to: LQR, with an estimator where it needs one."""
-    return "lqr" if scenario.sensing.full_state else "lqg"
+    """Return the controller that costs are relative to.
+
+    LQR where the state is shown and nothing else asks for more; with a preview or limits the LQR that
+    sees the one and minds the other; with an estimator where signals are shown or the loop has a delay.
+    """
+    if not scenario.sensing.full_state or scenario.delay:
+        return "lqg"
+    limited = scenario.limits.table_displacement is not None and scenario.ground.states == 4
+    return "preview-lqr" if scenario.sensing.preview or limited else "lqr"

@@ -20,6 +20,7 @@ from shake_env.parameters import Actuator, GroundFilter, ModelEquations, Specime
 from shake_env.records import RECORD_NAMES, Record, load_record, read_motion, write_record
 from shake_env.scenario import Scenario
 from shake_env.sensing import Sensing, Sensor
+from shake_env.supervisor import Supervised
 from shake_env.uncertainty import Uncertainty, Uniform
 from shake_env.vector_env import ShakeTableVectorEnv
 
@@ -65,6 +66,7 @@ __all__ = [
     "ShakeTableVectorEnv",
     "Specimen",
     "StrokeStops",
+    "Supervised",
     "Uncertainty",
     "Uniform",
     "Yielding",

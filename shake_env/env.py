@@ -14,6 +14,7 @@ from shake_env.limits import OBSERVATION_BOUND, REASONS
 from shake_env.motion import Motion
 from shake_env.overrides import Overrides, make_scenario
 from shake_env.parameters import FloatArray
+from shake_env.rendering import FRAME_RATE, RENDER_MODES, make_view, metadata
 from shake_env.scenario import Scenario
 from shake_env.simulation import Simulation, StepResult, checked_action, episode_stream
 
@@ -117,23 +118,34 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     as in ``fields={"nonlinearity.friction.coulomb": 300.0}`` (see ``make_scenario``).
     ``reset(options={"motion": ...})`` takes another motion for one episode.
 
+    ## Rendering
+
+    ``render_mode="rgb_array"``: ``render()`` returns a frame (480, 640, 3) of uint8, read-only: the
+    table and its actuator, the specimen, the reference on real ground, and the last four seconds of
+    what is tracked. ``render_mode="human"`` shows them in a window, in real time. A new frame is drawn
+    ``frame_rate`` (30) times a second of simulated time; in between, ``render()`` returns the last one
+    again. ``metadata["render_fps"]`` is the control rate, at which a frame for every step plays in real
+    time. Needs ``pip install 'shake-env[render]'``; see ``docs/rendering.md``.
+
     ## Versions
 
     v0: first release.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012  # declared as an instance variable by Gymnasium
+    # Declared as an instance variable by Gymnasium; the rate of the default scenario.
+    metadata = {"render_modes": RENDER_MODES, "render_fps": 200}  # noqa: RUF012
 
     def __init__(
         self,
         scenario: str | Scenario = "linear",
         *,
         render_mode: str | None = None,
+        frame_rate: float = FRAME_RATE,
         **overrides: Unpack[Overrides],
     ) -> None:
-        refuse_rendering(render_mode)
         self.scenario = make_scenario(scenario, overrides)
-        self.render_mode = render_mode
+        self.render_mode, self.metadata = render_mode, metadata(self.scenario)
+        self._view = make_view(self.scenario, render_mode, frame_rate)
         self.observation_space, self.action_space = single_spaces(self.scenario)
         self._simulation = Simulation(self.scenario, lanes=1)
         self._running = False
@@ -154,6 +166,8 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             [0], [episode_stream(self.np_random)], None if motion is None else [motion]
         )
         self._running = True
+        if self._view is not None:
+            self._view.start(motion)
         return observation[0], dict.fromkeys(INFO_KEYS, 0.0)
 
     def step(
@@ -171,6 +185,8 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if not self._running:
             raise ScenarioError("step()", "no episode is running", "call reset() first")
         result = self._simulation.step(checked_action(action, (1,)))
+        if self._view is not None:
+            self._view.record(result)
         info: dict[str, Any] = {key: float(value[0]) for key, value in step_info(result).items()}
         terminated, truncated = bool(result.terminated[0]), bool(result.truncated[0])
         if terminated:
@@ -178,11 +194,35 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._running = not (terminated or truncated)
         return result.observation[0], float(result.reward[0]), terminated, truncated, info
 
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return the frame (480, 640, 3) that stands; None with a window or without a render mode.
+
+        Raises
+        ------
+        ScenarioError
+            If no episode has been started.
+        """
+        if self._view is None or self.render_mode != "rgb_array":
+            return None
+        return self._view.frame()
+
+    @property
+    def episode_duration(self) -> float:
+        """Length of the running episode's motion, in whole control periods [s]."""
+        return int(self._simulation.episode_steps[0]) * self.scenario.control_period
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._view is not None:
+            self._view.close()
+
 
 def refuse_rendering(render_mode: str | None) -> None:
     """Raise ScenarioError unless no rendering is asked for."""
     if render_mode is not None:
-        raise ScenarioError("render_mode", render_mode, "this version draws nothing: use None")
+        raise ScenarioError(
+            "render_mode", render_mode, "a batch of tables is not drawn: watch one ShakeTableEnv"
+        )
 
 
 def single_spaces(scenario: Scenario) -> tuple[FloatBox, FloatBox]:

@@ -27,7 +27,8 @@ def _ground() -> GroundFilter:
     return GroundFilter(highpass_frequency=0.5)
 
 
-def _noise() -> FilteredNoise:
+def laboratory_noise() -> FilteredNoise:
+    """Return the filtered noise of the laboratory's scenarios, within its stroke."""
     return FilteredNoise(duration=15.0, amplitude=LABORATORY_AMPLITUDE, envelope=Envelope())
 
 
@@ -49,7 +50,7 @@ def laboratory() -> Scenario:
     return Scenario(
         name="laboratory",
         ground=_ground(),
-        motion=_noise(),
+        motion=laboratory_noise(),
         nonlinearity=_table(),
         delay=DELAY,
         current_limit=LABORATORY_CURRENT,
@@ -64,7 +65,7 @@ def unknown_specimen() -> Scenario:
         name="unknown-specimen",
         specimen=Specimen.uniform(mass_ratio=0.55, storey_frequency=7.0),
         ground=_ground(),
-        motion=_noise(),
+        motion=laboratory_noise(),
         delay=DELAY,
         current_limit=LABORATORY_CURRENT,
         limits=Limits.laboratory(),
@@ -78,7 +79,7 @@ def yielding() -> Scenario:
     return Scenario(
         name="yielding",
         ground=_ground(),
-        motion=_noise(),
+        motion=laboratory_noise(),
         nonlinearity=Nonlinearity(yielding=Yielding(yield_drift=YIELD_DRIFT)),
         current_limit=LABORATORY_CURRENT,
         limits=Limits.laboratory(),

@@ -13,6 +13,7 @@ from shake_env.errors import ParameterError
 from shake_env.limits import REASONS
 from shake_env.metrics import EpisodeMetrics, Sums
 from shake_env.motion import FilteredNoise, Motion, MotionSet, RecordedMotion
+from shake_env.named import laboratory_noise
 from shake_env.preparation import TableCapacity, fit_amplitude
 from shake_env.records import RECORD_NAMES
 from shake_env.scenario import Scenario
@@ -30,8 +31,15 @@ class Earthquake:
 
 
 def noise_earthquakes(scenario: Scenario, number: int, seed: int = 0) -> list[Earthquake]:
-    """Return `number` seeded filtered-noise earthquakes of the scenario's own duration and amplitude."""
-    motion = scenario.motion if isinstance(scenario.motion, FilteredNoise) else FilteredNoise()
+    """Return `number` seeded filtered-noise earthquakes of the scenario's own duration and amplitude.
+
+    Where its own motion is recorded: of the linear scenario's, or of the laboratory's if the stroke is
+    limited.
+    """
+    motion = scenario.motion
+    if not isinstance(motion, FilteredNoise):
+        limited = scenario.limits.table_displacement is not None
+        motion = laboratory_noise() if limited else FilteredNoise()
     return [Earthquake(f"noise {seed + i}", motion, seed + i) for i in range(number)]
 
 

@@ -434,11 +434,6 @@ def test_bad_number_of_lanes_raises(number):
         ShakeTableVectorEnv(number)
 
 
-def test_rendering_is_refused():
-    with pytest.raises(ScenarioError, match="render_mode"):
-        ShakeTableEnv(render_mode="human")
-
-
 @pytest.mark.parametrize("through", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
 @pytest.mark.parametrize("kind", ["single", "vector"])
 def test_a_copied_env_goes_on_exactly(through, kind):

@@ -8,8 +8,9 @@ import pytest
 from agents.__main__ import main
 from agents.tune import FAILED, keep, tune
 from baselines import registry
+from baselines.catalogue import BASELINES, Baseline, Tunable
 from baselines.lqr import LinearFeedback, sampled_lqr
-from baselines.registry import Baseline, Tunable, make_baseline
+from baselines.registry import make_baseline
 from shake_env import make_scenario
 from shake_env.errors import NumericalError, ParameterError, ScenarioError
 
@@ -27,7 +28,7 @@ def scaled_lqr(scenario, *, share, offset=0.0):
 def bench(monkeypatch):
     tunable = {"share": Tunable(0.1, 8.0, 0.2)}
     entry = Baseline(scaled_lqr, "LQR's gain times a share", tunable)
-    monkeypatch.setitem(registry.BASELINES, "scaled", entry)
+    monkeypatch.setitem(BASELINES, "scaled", entry)
 
 
 def test_it_finds_the_optimum_within_its_budget(bench, tmp_path):

@@ -1,0 +1,295 @@
+"""The classical controllers: how each is made for a scenario, and what of it can be tuned.
+
+A controller is designed on the nominal model alone; one that a scenario does not suit says so by a
+ScenarioError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from baselines.adaptive import certainty_equivalence
+from baselines.estimator_model import ModelError
+from baselines.feedforward import FeedforwardLQR
+from baselines.friction import DisturbanceObserver, ObserverDesign
+from baselines.ilc import norm_optimal_learning
+from baselines.inverse import InverseDesign, InverseFeedForward
+from baselines.iteration import IterationPlan, transfer_function_iteration
+from baselines.lqg import estimated
+from baselines.lqr import LinearFeedback, lqr
+from baselines.lqr_integral import DisplacementWeights, IntegralFeedback, lqr_integral
+from baselines.mcs import MCS, MCSDesign
+from baselines.mpc import MPCSettings, PredictiveControl
+from baselines.multi_model import drawn_models, multi_model_lqr
+from baselines.pid import PIDRule, pid
+from baselines.preview_lqr import PreviewFeedback
+from baselines.robust import robust_feedback
+from baselines.tvc import TVCDesign, tvc
+from shake_env.controller import Controller, NoControl
+from shake_env.errors import ParameterError, ScenarioError
+from shake_env.rollout import Earthquake
+from shake_env.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class Tunable:
+    """A free parameter of a controller, searched between `low` and `high`.
+
+    Raises
+    ------
+    ParameterError
+        Unless ``low <= default <= high``, above 0 where the search is logarithmic.
+    """
+
+    low: float
+    high: float
+    default: float
+    logarithmic: bool = True
+
+    def __post_init__(self) -> None:
+        ordered = self.low <= self.default <= self.high and self.low < self.high
+        if not ordered or (self.logarithmic and self.low <= 0.0):
+            raise ParameterError("tunable range", self, "needs low <= default <= high, above 0 if log")
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A classical controller that can be asked for by name."""
+
+    make: Callable[..., Controller]  # of a scenario, and its tunable parameters by keyword
+    summary: str
+    tunable: Mapping[str, Tunable] = field(default_factory=dict)
+    repeats_tests: bool = False  # whether `make` also takes the earthquakes, and repeats them beforehand
+
+
+def _seen(
+    scenario: Scenario,
+    make: Callable[[Scenario], Controller],
+    doubt: float = 1.0,
+    *,
+    accommodate: bool = False,
+) -> Controller:
+    """Return a full-state controller, behind an estimator where the scenario shows signals or delays.
+
+    `doubt` multiplies what the filter believes of its model's errors.
+    """
+    if scenario.sensing.full_state and not scenario.delay:
+        return make(scenario)
+    error = ModelError.of(scenario)
+    error = replace(error, force=doubt * error.force, flow=doubt * error.flow)
+    return estimated(scenario, make, error, accommodate=accommodate)
+
+
+def _place(scenario: Scenario, position: float) -> float | None:
+    """Return the weighed position, where the ground has a place for the table to be in."""
+    return None if scenario.ground.highpass_frequency is None else position
+
+
+def _lqg(scenario: Scenario, *, position: float, doubt: float) -> Controller:
+    def make(full: Scenario) -> Controller:
+        return PreviewFeedback(full, position=_place(full, position))
+
+    error = ModelError.of(scenario)
+    error = replace(error, force=doubt * error.force, flow=doubt * error.flow)
+    return estimated(scenario, make, error)
+
+
+def _lqg_accommodating(scenario: Scenario, *, position: float, doubt: float) -> Controller:
+    error = ModelError.of(scenario)
+    error = replace(error, force=doubt * error.force, flow=doubt * error.flow)
+    return estimated(
+        scenario,
+        lambda full: PreviewFeedback(full, position=_place(full, position)),
+        error,
+        accommodate=True,
+    )
+
+
+def _preview(scenario: Scenario, *, position: float) -> Controller:
+    return PreviewFeedback(scenario, position=_place(scenario, position))
+
+
+def _integral(scenario: Scenario, *, position: float, integral: float) -> Controller:
+    weights = DisplacementWeights(position=position, integral=integral)
+
+    def make(full: Scenario) -> Controller:
+        return IntegralFeedback(full, lqr_integral(full.discrete, full.stage_cost, weights))
+
+    return _seen(scenario, make)
+
+
+def _feedforward(scenario: Scenario, *, position: float, doubt: float) -> Controller:
+    if not (scenario.nonlinearity.friction.active or scenario.nonlinearity.valve.flow_active):
+        raise ScenarioError(
+            "nonlinearity", "no friction, no orifice", "there is nothing to feed forward"
+        )
+    return _seen(scenario, lambda full: FeedforwardLQR(full, position=_place(full, position)), doubt)
+
+
+def _mpc(scenario: Scenario, *, position: float, doubt: float) -> Controller:
+    if scenario.limits.table_displacement is None:
+        raise ScenarioError("limits", "off", "without limits it is preview-lqr: ask for that")
+
+    def make(full: Scenario) -> Controller:
+        return PredictiveControl(full, MPCSettings(position=_place(full, position)))
+
+    return _seen(scenario, make, doubt)
+
+
+def _multi_model(scenario: Scenario) -> Controller:
+    if not scenario.uncertainty.active:
+        raise ScenarioError("uncertainty", "none", "one model is known: ask for lqr")
+
+    def make(full: Scenario) -> Controller:
+        design = multi_model_lqr(full, drawn_models(full, MODELS))
+        return LinearFeedback(full, design.gain)
+
+    return _seen(scenario, make)
+
+
+def _robust(scenario: Scenario, *, mass_uncertainty: float) -> Controller:
+    return _seen(
+        scenario, lambda full: LinearFeedback(full, robust_feedback(full, mass_uncertainty).gain)
+    )
+
+
+def _pid(scenario: Scenario, *, bandwidth: float) -> Controller:
+    return pid(scenario, PIDRule(bandwidth=bandwidth).gains(scenario))
+
+
+def _tvc(scenario: Scenario, *, bandwidth: float, damping: float) -> Controller:
+    return tvc(scenario, TVCDesign(position_bandwidth=bandwidth, oil_damping=damping))
+
+
+def _inverse(scenario: Scenario, *, cutoff: float) -> Controller:
+    return InverseFeedForward(scenario, InverseDesign(cutoff=cutoff))
+
+
+def _inverse_feedback(
+    scenario: Scenario, *, cutoff: float, bandwidth: float, damping: float
+) -> Controller:
+    feedback = TVCDesign(position_bandwidth=bandwidth, oil_damping=damping)
+    return InverseFeedForward(scenario, InverseDesign(cutoff=cutoff, feedback=feedback))
+
+
+def _mcs(scenario: Scenario, *, alpha: float, bandwidth: float) -> Controller:
+    return MCS(scenario, MCSDesign(alpha=alpha, beta=0.1 * alpha, bandwidth=bandwidth))
+
+
+def _mcs_bounded(scenario: Scenario, *, alpha: float, bandwidth: float, leakage: float) -> Controller:
+    design = replace(
+        MCSDesign.bounded(),
+        alpha=alpha,
+        beta=0.1 * alpha,
+        bandwidth=bandwidth,
+        leakage=leakage,
+    )
+    return MCS(scenario, design)
+
+
+def _observer(scenario: Scenario, *, margin: float, bandwidth: float, damping: float) -> Controller:
+    inner = _tvc(scenario, bandwidth=bandwidth, damping=damping)
+    return DisturbanceObserver(scenario, inner, ObserverDesign(margin=margin))
+
+
+def _iteration(scenario: Scenario, earthquakes: Sequence[Earthquake], *, gain: float) -> Controller:
+    plan = IterationPlan(gain=gain)
+    return transfer_function_iteration(scenario, earthquakes, plan).tests.controller
+
+
+def _learning(
+    scenario: Scenario, earthquakes: Sequence[Earthquake], *, step_weight: float
+) -> Controller:
+    return norm_optimal_learning(scenario, earthquakes, step_weight=step_weight).controller
+
+
+MODELS = 32  # specimens that the multi-model design is made for
+_POSITION = Tunable(0.001, 0.3, 0.03)
+_DOUBT = Tunable(0.1, 30.0, 1.0)
+_BANDWIDTH, _DAMPING = Tunable(0.2, 5.0, 1.0), Tunable(0.03, 0.7, 0.2)
+
+BASELINES: dict[str, Baseline] = {
+    "none": Baseline(lambda scenario: NoControl(), "zero current: the table that does nothing"),
+    "lqr": Baseline(lqr, "sampled-data LQR on the full state, without preview"),
+    "preview-lqr": Baseline(
+        _preview, "LQR that sees the coming target and minds the table's place", {"position": _POSITION}
+    ),
+    "lqr-integral": Baseline(
+        _integral,
+        "LQR with integral action on displacement",
+        {"position": Tunable(1e-4, 10.0, 0.01), "integral": Tunable(1e-4, 10.0, 0.01)},
+    ),
+    "lqg": Baseline(
+        _lqg, "preview LQR behind a Kalman filter", {"position": _POSITION, "doubt": _DOUBT}
+    ),
+    "lqg-accommodating": Baseline(
+        _lqg_accommodating,
+        "lqg that makes up for the disturbance it estimates",
+        {"position": _POSITION, "doubt": _DOUBT},
+    ),
+    "feedforward": Baseline(
+        _feedforward,
+        "preview LQR with friction and orifice feed-forward",
+        {"position": _POSITION, "doubt": _DOUBT},
+    ),
+    "mpc": Baseline(
+        _mpc,
+        "predictive control within current, velocity and stroke",
+        {"position": _POSITION, "doubt": _DOUBT},
+    ),
+    "multi-model": Baseline(_multi_model, "LQR of least mean cost over a set of specimens"),
+    "robust": Baseline(
+        _robust,
+        "H-infinity feedback with a guaranteed cost for an uncertain mass",
+        {"mass_uncertainty": Tunable(0.02, 0.9, 0.1)},
+    ),
+    "adaptive": Baseline(
+        certainty_equivalence,
+        "finds out which specimen it is, and drives it by its own preview LQR",
+        {"position": Tunable(0.001, 0.3, 0.05)},
+    ),
+    "pid": Baseline(
+        _pid, "PID on displacement, velocity fed forward", {"bandwidth": Tunable(0.2, 8.0, 1.0)}
+    ),
+    "tvc": Baseline(_tvc, "three-variable control", {"bandwidth": _BANDWIDTH, "damping": _DAMPING}),
+    "tvc-observer": Baseline(
+        _observer,
+        "three-variable control with a disturbance observer",
+        {"margin": Tunable(0.1, 0.95, 0.7), "bandwidth": _BANDWIDTH, "damping": _DAMPING},
+    ),
+    "mcs": Baseline(
+        _mcs,
+        "minimal control synthesis around three-variable control",
+        {"alpha": Tunable(0.01, 30.0, 1.0), "bandwidth": Tunable(1.0, 10.0, 4.0)},
+    ),
+    "mcs-bounded": Baseline(
+        _mcs_bounded,
+        "minimal control synthesis with error integral, leakage and bounds",
+        {
+            "alpha": Tunable(0.01, 30.0, 1.0),
+            "bandwidth": Tunable(1.0, 10.0, 4.0),
+            "leakage": Tunable(0.02, 2.0, 0.2),
+        },
+    ),
+    "inverse": Baseline(
+        _inverse, "inverse-model feed-forward alone", {"cutoff": Tunable(10.0, 80.0, 40.0)}
+    ),
+    "inverse-feedback": Baseline(
+        _inverse_feedback,
+        "inverse-model feed-forward with placed feedback",
+        {"cutoff": Tunable(10.0, 80.0, 40.0), "bandwidth": _BANDWIDTH, "damping": _DAMPING},
+    ),
+    "iteration": Baseline(
+        _iteration,
+        "offline iteration of the drive file, after six repeats of the same test",
+        {"gain": Tunable(0.1, 1.5, 0.7)},
+        repeats_tests=True,
+    ),
+    "learning": Baseline(
+        _learning,
+        "norm-optimal iterative learning, after six repeats of the same test",
+        {"step_weight": Tunable(1e-4, 1.0, 0.01)},
+        repeats_tests=True,
+    ),
+}

@@ -1,0 +1,115 @@
+"""Every controller by its name: it suits a scenario or says why not; the bench's tables."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.__main__ import main
+from agents.bench import markdown, put_tables
+from baselines.catalogue import BASELINES
+from baselines.registry import make_baseline, reference_name, tuned_parameters
+from shake_env import SCENARIO_NAMES, make_scenario
+from shake_env.errors import ParameterError, ScenarioError
+from shake_env.rollout import noise_earthquakes, rollout
+
+ROOT = Path(__file__).parents[1]
+SHORT = {
+    name: make_scenario(name, {"duration": 0.6})
+    for name in ("linear", "laboratory", "unknown-specimen", "yielding")
+}
+# What each scenario cannot take, with the reason in its error.
+REFUSED = {
+    ("laboratory", "lqr"): "full state",
+    ("unknown-specimen", "lqr"): "full state",
+    ("laboratory", "preview-lqr"): "full state",
+    ("unknown-specimen", "preview-lqr"): "full state",
+    ("linear", "feedforward"): "nothing to feed forward",
+    ("unknown-specimen", "feedforward"): "nothing to feed forward",
+    ("yielding", "feedforward"): "nothing to feed forward",
+    ("linear", "mpc"): "without limits",
+    **{
+        (scenario, name): "uncertainty"
+        for scenario in ("linear", "laboratory", "yielding")
+        for name in ("multi-model", "adaptive")
+    },
+}
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_every_controller_drives_what_suits_it(name):
+    for scenario_name, scenario in SHORT.items():
+        quakes = noise_earthquakes(scenario, 2, seed=1)
+        if (scenario_name, name) in REFUSED:
+            with pytest.raises(ScenarioError, match=REFUSED[scenario_name, name]):
+                make_baseline(name, scenario, {}, quakes)
+            continue
+        rows, _ = rollout(make_baseline(name, scenario, {}, quakes), scenario, quakes)
+        assert all(np.isfinite(row.cost) for row in rows), scenario_name
+
+
+def test_a_controller_that_repeats_its_tests_needs_them():
+    with pytest.raises(ScenarioError, match="repeats its tests"):
+        make_baseline("learning", SHORT["linear"])
+
+
+def test_the_reference_always_suits():
+    for name in SCENARIO_NAMES:
+        scenario = make_scenario(name)
+        assert make_baseline(reference_name(scenario), scenario) is not None
+
+
+def test_nothing_is_tuned_on_the_records():
+    for name in BASELINES:
+        assert tuned_parameters(name, "records") == tuned_parameters(name, "laboratory")
+
+
+def test_tuned_values_lie_within_their_ranges():
+    for scenario in SCENARIO_NAMES:
+        for name, baseline in BASELINES.items():
+            for each, value in tuned_parameters(name, scenario).items():
+                tunable = baseline.tunable[each]
+                assert tunable.low <= value <= tunable.high, (scenario, name, each)
+
+
+def test_the_page_names_every_controller():
+    page = (ROOT / "docs" / "controllers.md").read_text(encoding="utf-8")
+    for name in BASELINES:
+        assert f"`{name}`" in page, name
+
+
+def test_bench_writes_results_and_renews_a_page(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("agents.bench.make_scenario", lambda name: SHORT[name])
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- bench yielding -->\nold\n<!-- end yielding -->\nafter\n")
+    kept = {name: BASELINES[name] for name in ("none", "preview-lqr", "pid")}
+    monkeypatch.setattr("agents.compare.BASELINES", kept)
+    arguments = ["bench", "--scenarios", "yielding", "--earthquakes", "2"]
+    assert main([*arguments, "--results", str(tmp_path), "--page", str(page)]) == 0
+    text = page.read_text()
+    assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text
+    names = re.findall(r"^\| ([\w-]+) \|", text, re.MULTILINE)
+    assert names[:2] == ["controller", "clairvoyant"]
+    assert set(names) >= {"clairvoyant", "preview-lqr", "pid", "none"}
+    assert names[-1] == "none"
+    capsys.readouterr()
+    assert main([*arguments, "--results", str(tmp_path), "--json"]) == 0  # done before: read, not run
+
+
+def test_a_page_without_markers_is_refused(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("nothing\n")
+    row = {
+        "controller": "x", "relative_cost": 1.0, "relative_cost_low": 1.0, "relative_cost_high": 1.0,
+        "acceleration_rms_error": 0.1, "acceleration_peak_error": 0.1, "base_shear_rms_error": 0.1,
+        "base_shear_peak_error": 0.1, "delay": None, "spectral_error": 0.1, "arias_ratio": 1.0,
+        "drift_ratio": 1.0, "energy_ratio": 1.0, "broken_limits": 0, "decision_time": None,
+        "earthquakes": 2,
+    }  # fmt: skip
+    result = {
+        "scenario": "linear", "rows": [row], "seed": 1, "version": "0", "machine": "m", "reference": "x"
+    }  # fmt: skip
+    assert "| x | 1.000 [1.000, 1.000] |" in markdown(result)
+    with pytest.raises(ParameterError, match="markers"):
+        put_tables(page, [result])
