@@ -21,6 +21,8 @@ def base_row(law: BaseLaw, scenario: Scenario) -> FloatArray:
     sampled-data LQR, so that the policy is a residual on top of it (Silver et al., Residual Policy
     Learning, 2018).
     """
+    if law == "none":
+        return np.zeros(scenario.observation.size)
     layout, actuator = scenario.plant.layout, scenario.actuator
     gain = np.zeros(layout.order)
     if law == "flow":

@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from agents.models import ALGORITHMS
+from agents.analytic_gradient import AnalyticPolicyGradient
+from agents.models import ALGORITHMS, Model
 from agents.sb3_vec_env import ShakeTableVecEnv
 from shake_env.errors import RunDirectoryError
 
 KEPT = 2  # newest checkpoints that stay
 
 
-def save_checkpoint(run: Path, model: PPO | SAC, env: ShakeTableVecEnv) -> Path:
+def save_checkpoint(run: Path, model: Model, env: ShakeTableVecEnv) -> Path:
     """Write a checkpoint of a model between two roll-outs, and drop the oldest ones."""
     folder = run / "checkpoints"
     folder.mkdir(parents=True, exist_ok=True)
@@ -46,6 +46,8 @@ def save_checkpoint(run: Path, model: PPO | SAC, env: ShakeTableVecEnv) -> Path:
     }
     if isinstance(model, OffPolicyAlgorithm):
         state["replay_buffer"] = model.replay_buffer
+    if isinstance(model, AnalyticPolicyGradient):
+        state["memory"] = model.memory
     torch.save(state, partial / "state.pt")
     partial.rename(final)
     for old in checkpoints(run)[:-KEPT]:
@@ -58,7 +60,7 @@ def checkpoints(run: Path) -> list[Path]:
     return sorted((run / "checkpoints").glob("step-*"))
 
 
-def load_checkpoint(run: Path, algorithm: str, env: ShakeTableVecEnv) -> PPO | SAC:
+def load_checkpoint(run: Path, algorithm: str, env: ShakeTableVecEnv) -> Model:
     """Return the model of the newest readable checkpoint; `env` and all random streams go on from it.
 
     Raises
@@ -79,6 +81,8 @@ def load_checkpoint(run: Path, algorithm: str, env: ShakeTableVecEnv) -> PPO | S
         model._last_episode_starts = state["last_episode_starts"]
         if isinstance(model, OffPolicyAlgorithm):
             model.replay_buffer = state["replay_buffer"]
+        if isinstance(model, AnalyticPolicyGradient):
+            model.memory = state["memory"]
         model.action_space._np_random = state["action_space"]
         torch.set_rng_state(state["torch"])
         np.random.set_state(state["numpy"])  # noqa: NPY002  # SB3 draws its minibatches from it

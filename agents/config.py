@@ -76,6 +76,41 @@ class SACOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class AnalyticOptions:
+    """Analytic policy gradient: back-propagation through the plant (see `analytic_gradient`)."""
+
+    tables: int = 128
+    """Tables followed side by side."""
+    window: int = 64
+    """Control periods that a gradient looks back through."""
+    learning_rate: float = 1e-3
+    """Highest learning rate; it rises over the warm-up and then falls linearly to zero."""
+    warmup: float = 0.05
+    """Share of the run over which the learning rate rises. The first gradients all point one way, and at
+    full rate may carry the loop's gain past what is stable."""
+    max_grad_norm: float = 10.0
+    """Bound on the gradient's norm, in stage costs (at unit amplitude) per unit of weight: of the size
+    of what is usual, so that a window in which a loop rang counts no more than others."""
+    terminal_value: bool = False
+    """Whether a learned value stands at the window's end (SHAC). A window outlasts most of what a table
+    remembers, and a critic's slope is less certain than its value: for short windows."""
+    td_lambda: float = 0.95
+    """Lambda of the critic's targets [-], with a terminal value."""
+    memory: int = 0
+    """Width of the policy's gated recurrent unit; 0: a policy without memory."""
+    scale_free: bool = True
+    """Whether the actor has no biases (see PPO's); without effect on a policy with memory."""
+    base: BaseLaw = "none"
+    """Linear law that the policy corrects: none, flow or lqr; the full state only."""
+    authority: float = 1.0
+    """What the policy can add to that law, as a fraction of the current limit."""
+    precision: Literal["float64", "float32"] = "float64"
+    """Precision of the plant's state."""
+    device: str = "cpu"
+    """Torch device. On a CPU a gradient takes tens of milliseconds."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class TrainConfig:
     """One training run. Everything that decides its result is in here, and in the run's config.json.
 
@@ -85,7 +120,7 @@ class TrainConfig:
         If a number is outside its range.
     """
 
-    algorithm: Literal["ppo", "sac"] = "ppo"
+    algorithm: Literal["ppo", "sac", "analytic"] = "ppo"
     """Learning algorithm."""
     scenario: ScenarioOptions = field(default_factory=ScenarioOptions)
     """What is learned on."""
@@ -93,13 +128,16 @@ class TrainConfig:
     """Options of PPO, used with --algorithm ppo."""
     sac: SACOptions = field(default_factory=SACOptions)
     """Options of SAC, used with --algorithm sac."""
+    analytic: AnalyticOptions = field(default_factory=AnalyticOptions)
+    """Options of the analytic policy gradient, used with --algorithm analytic."""
     seed: int = 0
     """Seed of networks, exploration and earthquakes."""
     total_steps: int | None = None
-    """Control periods of all tables together (unset: 4 million for PPO, 250 thousand for SAC, either
-    5 to 10 minutes)."""
-    horizon: float = 0.25
-    """Time over which the discount looks ahead [s]; discount = exp(-control period / horizon)."""
+    """Control periods of all tables together (unset: 4 million for PPO, 250 thousand for SAC, 8 million
+    for the analytic gradient; 2 to 10 minutes)."""
+    horizon: float | None = None
+    """Time over which the discount looks ahead [s] (unset: 0.25, for the analytic gradient 5);
+    discount = exp(-control period / horizon)."""
     episode: float = 10.0
     """Length of a training earthquake [s]."""
     state_limit: float = 12.0
@@ -117,40 +155,55 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         require_positive(
-            self, "horizon", "episode", "state_limit", "evaluation_interval",
+            self, "episode", "state_limit", "evaluation_interval",
             "evaluation_earthquakes", "checkpoint_interval", "threads",
         )  # fmt: skip
-        if self.total_steps is not None:
-            require_positive(self, "total_steps")
+        for name in ("total_steps", "horizon"):
+            if getattr(self, name) is not None:
+                require_positive(self, name)
         if self.ppo.tables * self.ppo.rollout_steps % self.ppo.batch_size:
             raise ParameterError(
                 "batch_size",
                 self.ppo.batch_size,
                 f"must divide the {self.ppo.tables * self.ppo.rollout_steps} samples of a roll-out",
             )
-        not_positive = ("initial_log_std", "target_entropy", "base", "scale_free")
-        for options in (self.ppo, self.sac):
+        not_positive = (
+            "initial_log_std", "target_entropy", "base", "scale_free", "terminal_value", "memory",
+            "precision", "device",
+        )  # fmt: skip
+        every = (self.ppo, self.sac, self.analytic)
+        for options in every:
             require_positive(options, *(name for name in vars(options) if name not in not_positive))
         require_non_negative(self, "seed")
-        for options in (self.ppo, self.sac):
+        require_non_negative(self.analytic, "memory")
+        if self.analytic.warmup >= 1.0:
+            raise ParameterError("warmup", self.analytic.warmup, "is a share of the run: below 1")
+        for options in every:
             if not 0.0 < options.authority <= 1.0:
                 raise ParameterError("authority", options.authority, "must lie above 0 and not above 1")
         if not self.hidden or min(self.hidden) < 1:
             raise ParameterError("hidden", self.hidden, "give the width of each layer, e.g. 64 64")
 
     @property
-    def chosen(self) -> PPOOptions | SACOptions:
+    def chosen(self) -> PPOOptions | SACOptions | AnalyticOptions:
         """The options of the algorithm in use."""
-        return self.ppo if self.algorithm == "ppo" else self.sac
+        options = {"ppo": self.ppo, "sac": self.sac, "analytic": self.analytic}
+        return options[self.algorithm]
 
     @property
     def steps(self) -> int:
         """Control periods to train for."""
-        return self.total_steps or {"ppo": 4_000_000, "sac": 250_000}[self.algorithm]
+        usual = {"ppo": 4_000_000, "sac": 250_000, "analytic": 8_000_000}
+        return self.total_steps or usual[self.algorithm]
+
+    @property
+    def lookahead(self) -> float:
+        """Horizon of the discount [s]."""
+        return self.horizon or (5.0 if self.algorithm == "analytic" else 0.25)
 
     def discount(self, control_period: float) -> float:
         """Return gamma for a control period [s]."""
-        return math.exp(-control_period / self.horizon)
+        return math.exp(-control_period / self.lookahead)
 
     def to_json(self) -> dict[str, Any]:
         """Return the configuration as plain JSON values."""
@@ -176,6 +229,7 @@ def read_config(run: Path) -> TrainConfig:
                 ),
                 "ppo": PPOOptions(**values["ppo"]),
                 "sac": SACOptions(**values["sac"]),
+                "analytic": AnalyticOptions(**values.get("analytic", {})),
                 "hidden": tuple(values["hidden"]),
             }
         )

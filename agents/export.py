@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from agents.analytic_gradient import AnalyticPolicyGradient
+from agents.direct import DIRECT_GAIN, DirectActor
 from agents.features import LinearFeatures
-from agents.policy_file import PolicyFile
+from agents.policy_file import GatedUnit, PolicyFile
+from agents.recurrent import GRUPolicy
 from agents.sb3_vec_env import ShakeTableVecEnv
 from shake_env.errors import PolicyFileError
 
@@ -19,12 +22,12 @@ _ACTIVATIONS = {torch.nn.Tanh: "tanh", torch.nn.ReLU: "relu"}
 
 
 def export_policy(model: BaseAlgorithm, env: ShakeTableVecEnv, card: dict[str, Any]) -> PolicyFile:
-    """Return the deterministic policy of a PPO or SAC model as a `PolicyFile`.
+    """Return the deterministic policy of a model as a `PolicyFile`.
 
     Parameters
     ----------
     model
-        With an MLP policy over ``LinearFeatures``, as ``shake train`` makes it.
+        With a policy over ``LinearFeatures``, as ``shake train`` makes it.
     env
         What it was trained on: the law that it corrects, and with what authority.
     card
@@ -35,35 +38,57 @@ def export_policy(model: BaseAlgorithm, env: ShakeTableVecEnv, card: dict[str, A
     PolicyFileError
         If the policy has another architecture.
     """
-    if isinstance(model, PPO):
+    if isinstance(model, PPO | AnalyticPolicyGradient):
         features, hidden = model.policy.pi_features_extractor, model.policy.mlp_extractor.policy_net
         last, output = model.policy.action_net, "clip"
     elif isinstance(model, SAC):
         features, hidden = model.actor.features_extractor, model.actor.latent_pi
         last, output = model.actor.mu, "tanh"
     else:
-        raise PolicyFileError("algorithm", type(model).__name__, "only PPO and SAC can be exported")
+        raise PolicyFileError(
+            "algorithm", type(model).__name__, "known: PPO, SAC, AnalyticPolicyGradient"
+        )
     if not isinstance(features, LinearFeatures):
         raise PolicyFileError(
             "features extractor", type(features).__name__, "only LinearFeatures can be exported"
         )
+    memory, direct = None, False
+    if isinstance(model, PPO | AnalyticPolicyGradient):
+        direct = isinstance(model.policy.mlp_extractor, DirectActor)
+        if isinstance(model.policy, GRUPolicy):
+            gru = model.policy.gru
+            memory = GatedUnit(
+                _numpy(gru.weight_ih * features.sizes),
+                *(_numpy(part) for part in (gru.weight_hh, gru.bias_ih, gru.bias_hh)),
+            )
     linear = [module for module in (*hidden, last) if isinstance(module, torch.nn.Linear)]
     kinds = {type(module) for module in hidden} - {torch.nn.Linear}
     if len(kinds) != 1 or not kinds <= set(_ACTIVATIONS):
         raise PolicyFileError("activations", sorted(str(k) for k in kinds), "must all be Tanh or ReLU")
+    weights = [_numpy(layer.weight) for layer in linear]
+    # Sizes of features go into the weights that read them, so that a file needs no word for them.
+    sizes, count = _numpy(features.sizes), len(features.matrix)
+    weights[0][:, :count] *= sizes
+    if direct:
+        entering = model.policy.mlp_extractor.feature_dim
+        weights[-1][:, -entering:] *= np.float32(DIRECT_GAIN)
+        first = weights[-1].shape[1] - entering
+        weights[-1][:, first : first + count] *= sizes
     return PolicyFile(
         matrix=_numpy(features.matrix),
         feature_clip=features.clip,
-        weights=tuple(_numpy(layer.weight) for layer in linear),
+        weights=tuple(weights),
         biases=tuple(_numpy(layer.bias) for layer in linear),
         activation=_ACTIVATIONS[kinds.pop()],
         output=output,
         base=np.asarray(env.base, dtype=np.float32),
         authority=env.authority,
         card=card,
+        direct=direct,
+        memory=memory,
     )
 
 
 def _numpy(tensor: torch.Tensor) -> NDArray[np.float32]:
-    array: NDArray[np.float32] = tensor.detach().cpu().numpy().astype(np.float32)
+    array: NDArray[np.float32] = tensor.detach().cpu().numpy().astype(np.float32, copy=True)
     return array

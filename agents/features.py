@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from baselines.lqr import observable_states
+from shake_env.motion import FilteredNoise
 from shake_env.parameters import FloatArray
 from shake_env.plant import LOAD_PRESSURE, SPOOL_POSITION, TABLE_VELOCITY
 from shake_env.scenario import Scenario
@@ -17,14 +18,85 @@ from shake_env.scenario import Scenario
 def feature_matrix(scenario: Scenario) -> FloatArray:
     """Return the fixed linear map (features, n) from observation to network input.
 
-    An invertible map of the observable states, so that no information is added or lost, into
-    coordinates in which what a controller has to act on is not a small difference of large numbers:
-    the position, which drifts and feeds nothing, is left out; the load pressure becomes the
-    acceleration error y_A - y~, the spool position the flow that goes into compressing the oil,
-    ``x_v - A_p v_a / K_q``, and the specimen's states their difference from the reference's. Each is
-    divided by the share of what it is an error in (`ERROR_SHARE`, `FLOW_SHARE`), so that it is of the
+    An invertible map of what can be observed, so that no information is added or lost, into coordinates
+    in which what a controller has to act on is not a small difference of large numbers. Each is divided
+    by the size of what it is (`ERROR_SHARE`, `FLOW_SHARE`, the motion's amplitude), so that it is of the
     order of 1.
+
+    Full state
+        The position, where it feeds nothing and has no limit, is left out; the load pressure becomes the
+        acceleration error y_A - y~, the spool position the flow that goes into compressing the oil,
+        ``x_v - A_p v_a / K_q``, and the specimen's states their difference from the reference's.
+    Measured signals
+        Table acceleration, velocity and displacement become their errors from the target's, as far as
+        the ground filter's state holds them, and the spool position the flow as above.
+    Friction
+        The table's velocity once more, so steep that its clip has the shape of the friction force.
+    Preview
+        Each sample becomes its difference from the one before it; the first, from the target now.
     """
+    shown = scenario.observation
+    matrix = np.eye(shown.size)
+    kept = np.arange(shown.size)
+    if scenario.sensing.full_state:
+        states = scenario.plant.layout.order
+        matrix[:states, :states] = _full_state(scenario)
+        kept = np.concatenate([observable_states(scenario.plant), kept[states:]])
+        if scenario.limits.table_displacement is not None:
+            kept = np.arange(shown.size)  # what breaks a limit matters
+    else:
+        _measured(scenario, matrix)
+    ahead = np.arange(shown.preview.start, shown.preview.stop)
+    if len(ahead):
+        rms = np.sqrt(scenario.plant.target_variance)
+        matrix[ahead[1:], ahead[:-1]] = -1.0
+        matrix[ahead[0], : shown.head] -= _target(scenario)[: shown.head] / rms
+        matrix[ahead] /= PREVIEW_SHARE
+    signals = np.delete(np.arange(shown.size), np.arange(shown.last_action.start, shown.size))
+    motion = scenario.motion
+    if isinstance(motion, FilteredNoise) and motion.amplitude > 0.0:
+        matrix[signals] /= motion.amplitude
+    matrix = matrix[kept]
+    steep = _steep_velocity(scenario)
+    return matrix if steep is None else np.vstack([matrix, steep])
+
+
+def feature_sizes(scenario: Scenario) -> FloatArray:
+    """Return what each clipped feature (features,) of :func:`feature_matrix` is multiplied by."""
+    sizes = np.ones(len(feature_matrix(scenario)))
+    if _steep_velocity(scenario) is not None:
+        sizes[-1] = 1.0 / CLIP
+    return sizes
+
+
+def _steep_velocity(scenario: Scenario) -> FloatArray | None:
+    """Return a row that reaches the clip at twice friction's smoothing velocity; None without friction.
+
+    Clipped, it has the shape of the friction force. A network would have to make that from a velocity a
+    hundred times as large, by weights a hundred times as large.
+    """
+    shown, friction = scenario.observation, scenario.nonlinearity.friction
+    row = np.zeros(shown.size)
+    if scenario.sensing.full_state:
+        place = scenario.plant.layout.table_velocity
+        scale = float(scenario.plant.state_scale[place])
+    elif "table_velocity" in shown.reading_names:
+        reading = shown.reading_names.index("table_velocity")
+        place, scale = shown.readings.start + reading, float(shown.reading_scale[reading])
+    else:
+        return None
+    row[place] = CLIP * scale / (2.0 * friction.smoothing_velocity)
+    return row if friction.active else None
+
+
+def _target(scenario: Scenario) -> FloatArray:
+    """Return the target acceleration now (order,) [m/s^2] as a row over the scaled state."""
+    plant = scenario.plant
+    row: FloatArray = plant.coupled.C[2] * plant.state_scale
+    return row
+
+
+def _full_state(scenario: Scenario) -> FloatArray:
     plant, layout, scale = scenario.plant, scenario.plant.layout, scenario.plant.state_scale
     pressure, spool = layout.actuator.start + LOAD_PRESSURE, layout.actuator.start + SPOOL_POSITION
     velocity = layout.actuator.start + TABLE_VELOCITY
@@ -32,15 +104,48 @@ def feature_matrix(scenario: Scenario) -> FloatArray:
     error = (plant.coupled.C[0] - plant.coupled.C[2]) * scale
     matrix[pressure] = error / (ERROR_SHARE * np.sqrt(plant.target_variance))
     matrix[spool, spool] = 1.0 / FLOW_SHARE
-    actuator = plant.actuator
-    follows = actuator.piston_area / actuator.flow_gain * scale[velocity] / scale[spool]
-    matrix[spool, velocity] = -follows / FLOW_SHARE
+    matrix[spool, velocity] = -_flow_of_velocity(scenario) / FLOW_SHARE
     matrix[layout.specimen, layout.specimen] /= ERROR_SHARE
     matrix[layout.specimen, layout.reference] = -np.eye(2 * layout.stories) / ERROR_SHARE
-    return matrix[observable_states(plant)]
+    return matrix
 
 
+def _measured(scenario: Scenario, matrix: FloatArray) -> None:
+    shown, plant = scenario.observation, scenario.plant
+    at = {name: shown.readings.start + i for i, name in enumerate(shown.reading_names)}
+    sizes = dict(zip(shown.reading_names, shown.reading_scale, strict=True))
+    scale = plant.state_scale[: shown.head]
+    ground = scenario.ground
+    # Rows of the target's acceleration, velocity and displacement over the ground filter's scaled state.
+    # With the high-pass its last two states are the ground's motion; without, x_w is its velocity.
+    rows = {"table_acceleration": _target(scenario)[: shown.head]}
+    if ground.highpass_frequency is None:
+        rows["table_velocity"] = np.array([2.0 * ground.damping_ratio * ground.omega, 0.0]) * scale
+    else:
+        rows["table_displacement"] = np.array([0.0, 0.0, 1.0, 0.0]) * scale
+        rows["table_velocity"] = np.array([0.0, 0.0, 0.0, 1.0]) * scale
+    if "spool_position" in at:
+        spool = at["spool_position"]
+        if "table_velocity" in at:
+            matrix[spool, at["table_velocity"]] = -_flow_of_velocity(scenario)
+        matrix[spool] /= FLOW_SHARE
+    for name, row in rows.items():
+        if name in at:
+            matrix[at[name], : shown.head] -= row / sizes[name]
+            matrix[at[name]] /= ERROR_SHARE
+
+
+def _flow_of_velocity(scenario: Scenario) -> float:
+    """Return the scaled spool position whose flow a scaled table velocity of 1 uses."""
+    scale = scenario.plant.state_scale[scenario.plant.layout.actuator]
+    actuator = scenario.actuator
+    flow = actuator.piston_area / actuator.flow_gain * scale[TABLE_VELOCITY] / scale[SPOOL_POSITION]
+    return float(flow)
+
+
+CLIP = 20.0  # far outside what a working controller meets
 ERROR_SHARE = 0.3  # errors of a table under control are of the order of 10 to 40 % of the target
+PREVIEW_SHARE = 0.4  # of its rms is what the target changes by in 5 ms
 FLOW_SHARE = 0.03  # the oil is stiff: of the flow through the valve a few percent compress it
 
 
@@ -54,18 +159,31 @@ class LinearFeatures(BaseFeaturesExtractor):
     matrix
         (features, n) what :func:`feature_matrix` returned.
     clip
-        Bound of a feature; far outside what a working controller meets.
+        Bound of a feature.
+    sizes
+        (features,) what :func:`feature_sizes` returned; None: ones.
     """
 
     def __init__(
-        self, observation_space: spaces.Box, matrix: list[list[float]], clip: float = 20.0
+        self,
+        observation_space: spaces.Box,
+        matrix: list[list[float]],
+        clip: float = CLIP,
+        sizes: list[float] | None = None,
     ) -> None:
         rows: NDArray[np.float32] = np.asarray(matrix, dtype=np.float32)
         super().__init__(observation_space, features_dim=len(rows))
         self.clip = clip
         self.matrix: torch.Tensor
         self.register_buffer("matrix", torch.from_numpy(rows))
+        self.sizes: torch.Tensor
+        ones = np.ones(len(rows), dtype=np.float32)
+        given = ones if sizes is None else np.asarray(sizes, dtype=np.float32)
+        self.scaled = bool(np.any(given != 1.0))
+        # Not persistent, so that policies of before there were sizes still load.
+        self.register_buffer("sizes", torch.from_numpy(given), persistent=False)
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Return features (batch, features)."""
-        return torch.clamp(observations @ self.matrix.T, -self.clip, self.clip)
+        features = torch.clamp(observations @ self.matrix.T, -self.clip, self.clip)
+        return features * self.sizes if self.scaled else features

@@ -8,10 +8,20 @@ import torch
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.policies import ActorCriticPolicy
 
+from agents.analytic_gradient import AnalyticPolicyGradient
 from agents.config import TrainConfig
-from agents.features import LinearFeatures, feature_matrix
+from agents.direct import DirectPolicy
+from agents.features import LinearFeatures, feature_matrix, feature_sizes
+from agents.recurrent import GRUPolicy
 from agents.sb3_vec_env import ShakeTableVecEnv
 from shake_env.scenario import Scenario
+
+
+def _without_biases(policy: ActorCriticPolicy) -> None:
+    for layer in (*policy.mlp_extractor.policy_net, policy.action_net):
+        if isinstance(layer, torch.nn.Linear):
+            torch.nn.init.zeros_(layer.bias)
+            layer.bias.requires_grad_(False)
 
 
 class ScaleFreePolicy(ActorCriticPolicy):
@@ -24,10 +34,15 @@ class ScaleFreePolicy(ActorCriticPolicy):
 
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
-        for layer in (*self.mlp_extractor.policy_net, self.action_net):
-            if isinstance(layer, torch.nn.Linear):
-                torch.nn.init.zeros_(layer.bias)
-                layer.bias.requires_grad_(False)
+        _without_biases(self)
+
+
+class ScaleFreeDirectPolicy(DirectPolicy):
+    """A `DirectPolicy` whose actor has no biases, as `ScaleFreePolicy`'s."""
+
+    def _build(self, lr_schedule: Any) -> None:
+        super()._build(lr_schedule)
+        _without_biases(self)
 
 
 class WarmSAC(SAC):
@@ -40,7 +55,12 @@ class WarmSAC(SAC):
         return super()._sample_action(0, action_noise, n_envs)
 
 
-ALGORITHMS: dict[str, type[PPO] | type[SAC]] = {"ppo": PPO, "sac": WarmSAC}
+Model = PPO | SAC | AnalyticPolicyGradient
+ALGORITHMS: dict[str, type[PPO] | type[SAC] | type[AnalyticPolicyGradient]] = {
+    "ppo": PPO,
+    "sac": WarmSAC,
+    "analytic": AnalyticPolicyGradient,
+}
 
 
 class LinearDecay:
@@ -54,14 +74,28 @@ class LinearDecay:
         return self.initial * progress_remaining
 
 
-def new_model(config: TrainConfig, scenario: Scenario, env: ShakeTableVecEnv) -> PPO | SAC:
+class WarmUp:
+    """A learning rate that rises linearly over the first share of a run, then falls linearly to zero."""
+
+    def __init__(self, highest: float, share: float) -> None:
+        self.highest, self.share = highest, share
+
+    def __call__(self, progress_remaining: float) -> float:
+        """Return the rate when the share `progress_remaining` of the run is left."""
+        return self.highest * min(progress_remaining, (1.0 - progress_remaining) / self.share)
+
+
+def new_model(config: TrainConfig, scenario: Scenario, env: ShakeTableVecEnv) -> Model:
     """Return an untrained model on `env`; `scenario` is what it will be used on."""
     policy: dict[str, Any] = {
         "net_arch": list(config.hidden),
         # The linear optimum is a linear law, which rectifiers can represent exactly and tanh cannot.
         "activation_fn": torch.nn.ReLU,
         "features_extractor_class": LinearFeatures,
-        "features_extractor_kwargs": {"matrix": feature_matrix(scenario).tolist()},
+        "features_extractor_kwargs": {
+            "matrix": feature_matrix(scenario).tolist(),
+            "sizes": feature_sizes(scenario).tolist(),
+        },
     }
     gamma = config.discount(scenario.control_period)
     if config.algorithm == "ppo":
@@ -80,6 +114,8 @@ def new_model(config: TrainConfig, scenario: Scenario, env: ShakeTableVecEnv) ->
             policy_kwargs={**policy, "log_std_init": ppo.initial_log_std},
             device="cpu",
         )
+    if config.algorithm == "analytic":
+        return _analytic(config, policy, env, gamma)
     sac = config.sac
     model = WarmSAC(
         "MlpPolicy",
@@ -103,3 +139,32 @@ def new_model(config: TrainConfig, scenario: Scenario, env: ShakeTableVecEnv) ->
         model.actor.mu.weight.mul_(0.01)
         model.actor.mu.bias.zero_()
     return model
+
+
+def _analytic(
+    config: TrainConfig, policy: dict[str, Any], env: ShakeTableVecEnv, gamma: float
+) -> AnalyticPolicyGradient:
+    analytic = config.analytic
+    kind: type[ActorCriticPolicy]
+    if analytic.memory:
+        kind, policy = GRUPolicy, {**policy, "units": analytic.memory}
+    else:
+        kind = ScaleFreeDirectPolicy if analytic.scale_free else DirectPolicy
+    # Exact gradients need no long averages: short ones forget a window in which the loop rang. SB3's
+    # epsilon of 1e-5 is of the size of the gradient's entries near the optimum: Adam would stop there.
+    policy["optimizer_kwargs"] = {"betas": (0.7, 0.95), "eps": 1e-8}
+    policy["log_std_init"] = -3.0  # for PPO to go on from
+    return AnalyticPolicyGradient(
+        kind,
+        env,
+        learning_rate=WarmUp(analytic.learning_rate, analytic.warmup),
+        window=analytic.window,
+        gamma=gamma,
+        td_lambda=analytic.td_lambda,
+        max_grad_norm=analytic.max_grad_norm * (1.0 - gamma),  # rewards are scaled by that, too
+        terminal_value=analytic.terminal_value,
+        plant_dtype=analytic.precision,
+        seed=config.seed,
+        policy_kwargs=policy,
+        device=analytic.device,
+    )

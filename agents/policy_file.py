@@ -1,7 +1,7 @@
 """Policies on disk: weights in safetensors, everything else in its JSON header. Loading runs no code.
 
-A `PolicyFile` is a multilayer perceptron behind a fixed linear map of the observation, and drives a
-table in numpy alone.
+A `PolicyFile` is a multilayer perceptron behind a fixed linear map of the observation, with or without a
+memory between them, and drives a table in numpy alone.
 """
 
 from __future__ import annotations
@@ -27,12 +27,58 @@ Weights = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
+class GatedUnit:
+    """A gated recurrent unit (Cho et al., 2014) in numpy, gates in torch's order: reset, update, new.
+
+    Raises
+    ------
+    PolicyFileError
+        If the shapes of its parts do not fit, or a number in it is not finite.
+    """
+
+    input_weight: Weights  # (3 units, features)
+    hidden_weight: Weights  # (3 units, units)
+    input_bias: Weights  # (3 units,)
+    hidden_bias: Weights  # (3 units,)
+
+    def __post_init__(self) -> None:
+        rows, units = self.hidden_weight.shape[0], self.hidden_weight.shape[1]
+        fits = (
+            rows == 3 * units > 0
+            and self.input_weight.shape[0] == rows
+            and self.input_bias.shape == self.hidden_bias.shape == (rows,)
+        )
+        _require(fits, "memory shape", self.hidden_weight.shape, _REMEDY)
+        for array in vars(self).values():
+            _require(bool(np.isfinite(array).all()), "memory weights", "nan or inf", _REMEDY)
+
+    @property
+    def units(self) -> int:
+        """Width of the memory."""
+        return int(self.hidden_weight.shape[1])
+
+    def __call__(self, features: Weights, memory: Weights) -> Weights:
+        """Return the new memory (..., units) for features (..., features)."""
+        n = self.units
+        new = features @ self.input_weight.T + self.input_bias
+        old = memory @ self.hidden_weight.T + self.hidden_bias
+        # The logistic function, by a tanh that cannot overflow.
+        gates = 0.5 + 0.5 * np.tanh(0.5 * (new[..., : 2 * n] + old[..., : 2 * n]))
+        reset, update = gates[..., :n], gates[..., n:]
+        proposed = np.tanh(new[..., 2 * n :] + reset * old[..., 2 * n :])
+        kept: Weights = proposed + update * (memory - proposed)
+        return kept
+
+
+@dataclass(frozen=True)
 class PolicyFile:
     """A deterministic policy as a `Controller`, in numpy.
 
-    Features are ``clip(matrix @ observation)``; then layers of weights and biases with an activation
-    between them; the output is clipped to [-1, 1] (Gaussian policies) or passed through tanh (SAC).
-    The action is ``base @ observation + authority * output``, clipped to [-1, 1].
+    Features are ``clip(matrix @ observation)``; with a memory its output is put behind them. Then come
+    layers of weights and biases with an activation between them; where the policy is direct, what enters
+    the first layer also enters the last, behind its other inputs. The output is clipped to [-1, 1]
+    (Gaussian policies) or passed through tanh (SAC). The action is
+    ``base @ observation + authority * output``, clipped to [-1, 1].
 
     Raises
     ------
@@ -49,13 +95,21 @@ class PolicyFile:
     base: Weights  # (n,) linear law that the network corrects; zeros for none
     authority: float  # what a network output of 1 adds to it
     card: dict[str, Any]  # how it was made: scenario, algorithm, command, seed, evaluation
+    direct: bool = False  # whether the last layer also reads what the first does
+    memory: GatedUnit | None = None
 
     def __post_init__(self) -> None:
         _require(self.activation in _ACTIVATIONS, "activation", self.activation, _REMEDY)
         _require(self.output in _OUTPUTS, "output", self.output, _REMEDY)
         _require(len(self.weights) == len(self.biases) > 0, "layers", len(self.weights), _REMEDY)
         width = self.matrix.shape[0]
+        if self.memory is not None:
+            taken = self.memory.input_weight.shape[1]
+            _require(taken == width, "memory inputs", taken, f"must be {width}")
+            width += self.memory.units
+        entering, last = width, len(self.weights) - 1
         for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            width += entering if self.direct and number == last else 0
             fits = weight.ndim == 2 and weight.shape[1] == width and bias.shape == weight.shape[:1]
             _require(fits, f"layer {number} shape", weight.shape, f"must take {width} inputs")
             width = weight.shape[0]
@@ -77,16 +131,28 @@ class PolicyFile:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
-        """Return the action (..., 1) for an observation (..., n)."""
+        """Return the action (..., 1) for an observation (..., n), and the memory in a tuple."""
         hidden = np.clip(observation @ self.matrix.T, -self.feature_clip, self.feature_clip)
-        last = len(self.weights) - 1
+        kept: tuple[Any, ...] | None = None
+        if self.memory is not None:
+            past = np.zeros((*hidden.shape[:-1], self.memory.units), np.float32)
+            if state is not None:
+                past = state[0]
+                if episode_start is not None:
+                    begun = np.reshape(episode_start, hidden.shape[:-1])[..., None]
+                    past = np.where(begun, np.float32(0.0), past)
+            kept = (self.memory(hidden, past),)
+            hidden = np.concatenate([hidden, kept[0]], axis=-1)
+        entering, last = hidden, len(self.weights) - 1
         for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            if self.direct and number == last:
+                hidden = np.concatenate([hidden, entering], axis=-1)
             hidden = hidden @ weight.T + bias
             if number < last:
                 hidden = np.tanh(hidden) if self.activation == "tanh" else np.maximum(hidden, 0.0)
         output = np.tanh(hidden) if self.output == "tanh" else np.clip(hidden, -1.0, 1.0)
         action = (observation @ self.base)[..., None] + self.authority * output
-        return np.clip(action, -1.0, 1.0).astype(np.float32), None
+        return np.clip(action, -1.0, 1.0).astype(np.float32), kept
 
     def check(self, scenario: Scenario) -> None:
         """Raise PolicyFileError unless the policy was made for this observation and control rate."""
@@ -109,11 +175,15 @@ class PolicyFile:
             "output": self.output,
             "authority": self.authority,
             "layers": len(self.weights),
+            "direct": self.direct,
+            "memory": self.memory is not None,
             "card": self.card,
         }
         arrays = {"matrix": self.matrix, "base": self.base}
         for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             arrays[f"weight.{number}"], arrays[f"bias.{number}"] = weight, bias
+        for name, array in {} if self.memory is None else vars(self.memory).items():
+            arrays[f"memory.{name}"] = array
         partial = path.with_name(path.name + ".partial")
         contiguous = {name: np.ascontiguousarray(a) for name, a in arrays.items()}
         partial.write_bytes(save(contiguous, {"shake": json.dumps(header, sort_keys=True)}))
@@ -142,6 +212,12 @@ def load_policy(path: Path) -> PolicyFile:
     _require(header.get("format") == FORMAT, "format", header.get("format"), _REMEDY)
     try:
         layers = range(int(header["layers"]))
+        memory = None
+        if header.get("memory", False):  # files of before policies had one do not say
+            memory = GatedUnit(
+                *(_float32(arrays[f"memory.{name}"], 2) for name in ("input_weight", "hidden_weight")),
+                *(_float32(arrays[f"memory.{name}"], 1) for name in ("input_bias", "hidden_bias")),
+            )
         return PolicyFile(
             matrix=_float32(arrays["matrix"], 2),
             feature_clip=float(header["feature_clip"]),
@@ -152,6 +228,8 @@ def load_policy(path: Path) -> PolicyFile:
             base=_float32(arrays["base"], 1),
             authority=float(header["authority"]),
             card=dict(header["card"]),
+            direct=bool(header.get("direct", False)),
+            memory=memory,
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         if isinstance(error, PolicyFileError):

@@ -14,6 +14,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from shake_env.env import single_spaces
 from shake_env.limits import REASONS
+from shake_env.measurement import SensorMemory
 from shake_env.parameters import FloatArray
 from shake_env.scenario import Scenario
 from shake_env.simulation import Simulation, StepResult, checked_action, episode_stream
@@ -98,21 +99,83 @@ class ShakeTableVecEnv(VecEnv):
         return observation.copy(), (self.reward_scale * result.reward).astype(np.float32), done, infos
 
     def _final_info(self, result: StepResult, lane: int) -> dict[str, Any]:
-        info: dict[str, Any] = {
+        return {
             "terminal_observation": result.observation[lane].copy(),
             "TimeLimit.truncated": bool(result.truncated[lane]),
+            **self._episode_info(lane, int(result.outcome.broken[lane])),
+        }
+
+    def _episode_info(self, lane: int, broken: int) -> dict[str, Any]:
+        info: dict[str, Any] = {
             "episode": {
                 "r": float(self._returns[lane]),
                 "l": int(self.simulation.step_count[lane]),
             },
         }
-        if result.terminated[lane]:
-            info["broken_limit"] = REASONS[int(result.outcome.broken[lane]) - 1]
+        if broken:
+            info["broken_limit"] = REASONS[broken - 1]
         return info
 
     def _start(self, lanes: Sequence[int]) -> NDArray[np.float32]:
         streams = [episode_stream(stream) for lane in lanes if (stream := self._streams[lane])]
         return self.simulation.start(lanes, streams)
+
+    @property
+    def observation(self) -> NDArray[np.float32]:
+        """What the tables show now, (N, n)."""
+        return self._observation.copy()
+
+    def skip(
+        self,
+        state: FloatArray,
+        memory: SensorMemory,
+        observation: NDArray[np.float32],
+        *,
+        steps: NDArray[np.int_],
+        returns: FloatArray,
+        broken: NDArray[np.int_],
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Go on from where the tables were taken by a copy of them, as learning through the plant does.
+
+        The copy has read the ground and the sensors' noise of this environment on the way.
+
+        Parameters
+        ----------
+        state, memory, observation
+            Of all tables, at the end.
+        steps
+            (N,) control periods of each lane's episode that were run.
+        returns
+            (N,) sum of the true rewards over them.
+        broken
+            (N,) code of the limit that ended the episode, or 0.
+
+        Returns
+        -------
+        observation, done, infos
+            Lanes whose episode ended come back with their next one begun; the info of such a lane holds
+            its ``episode`` record and ``broken_limit``.
+        """
+        simulation = self.simulation
+        simulation.state, simulation.memory = state, memory
+        simulation.step_count[:] += steps
+        self._returns += returns
+        done = (broken != 0) | (simulation.step_count >= simulation.episode_steps)
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        lanes = np.flatnonzero(done)
+        self._observation = observation.astype(np.float32)
+        for lane in lanes:
+            infos[lane] = self._episode_info(int(lane), int(broken[lane]))
+        self._returns[lanes] = 0.0
+        if len(lanes):
+            self._observation[lanes] = self._start(lanes.tolist())
+        return self._observation.copy(), done, infos
+
+    def stagger(self) -> None:
+        """Shorten the first episode of each lane, so that they come to stand at different places."""
+        steps = self.simulation.episode_steps
+        shares = (np.arange(self.num_envs) + 1.0) / self.num_envs
+        steps[:] = np.maximum(np.ceil(steps * shares), 1).astype(int)
 
     def snapshot(self) -> dict[str, Any]:
         """Return everything that `restore` needs to go on exactly."""

@@ -1,4 +1,4 @@
-"""Train PPO or SAC on a scenario, with evaluation, checkpoints and exact resumption."""
+"""Train a policy on a scenario, with evaluation, checkpoints and exact resumption."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ import json
 import shlex
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from threadpoolctl import threadpool_limits
@@ -23,13 +22,14 @@ from agents.base_law import base_row
 from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.config import TrainConfig, read_config
 from agents.export import export_policy
-from agents.models import new_model
+from agents.models import Model, new_model
 from agents.sb3_vec_env import ShakeTableVecEnv
+from baselines.clairvoyant import clairvoyant
 from baselines.lqr import lqr
 from shake_env.errors import RunDirectoryError
 from shake_env.limits import Limits
 from shake_env.motion import FilteredNoise
-from shake_env.rollout import noise_earthquakes, rollout
+from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario import Scenario
 
 EVALUATION_SEED = 1_000_000  # training seeds lie far below, so that no evaluation motion is trained on
@@ -42,7 +42,7 @@ class Progress:
     steps: int
     total_steps: int
     seconds: float  # wall time of training in this process
-    cost_ratio: float | None  # last evaluation: cost relative to LQR's on the same earthquakes
+    cost_ratio: float | None  # last evaluation: relative to the reference's on the same earthquakes
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class TrainResult:
     seconds: float
     cost_ratio: float
     cost: float
-    lqr_cost: float
+    lqr_cost: float  # of the reference: LQR, or the clairvoyant where LQR is none (see _reference)
 
 
 def train(
@@ -79,8 +79,11 @@ def train(
     scenario = config.scenario.build()
     env = _tables(config, scenario)
     torch.set_num_threads(config.threads)
+    model = new_model(config, scenario, env)
+    # After the model: SB3 seeds the environment with the run's own seed, so that the tables of run 1
+    # would repeat those of run 0 but for one.
     env.seed(config.seed * 100_000)
-    return _run(new_model(config, scenario, env), config, env, run, report)
+    return _run(model, config, env, run, report)
 
 
 def resume(run: Path, *, report: Callable[[Progress], None] = lambda progress: None) -> TrainResult:
@@ -101,7 +104,7 @@ def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
     """Return the scenario with training's episode length and its early end of hopeless episodes."""
     limits = scenario.limits
     if limits == Limits():  # the linear setting: only divergence ends an episode
-        limits = Limits(state_limit=config.state_limit, cost_horizon=config.horizon)
+        limits = Limits(state_limit=config.state_limit, cost_horizon=config.lookahead)
     motion = scenario.motion
     if isinstance(motion, FilteredNoise):
         motion = replace(motion, duration=config.episode)
@@ -117,8 +120,14 @@ def _tables(config: TrainConfig, scenario: Scenario) -> ShakeTableVecEnv:
         authority=chosen.authority,
         # Values are then of the size of a stage cost. Unscaled they are 1 / (1 - gamma) times that, and
         # the value function spends thousands of steps growing while the policy follows its noise.
-        reward_scale=1.0 - config.discount(scenario.control_period),
+        # Weak motions cost their amplitude's square less.
+        reward_scale=(1.0 - config.discount(scenario.control_period)) / _intensity(scenario),
     )
+
+
+def _intensity(scenario: Scenario) -> float:
+    motion = scenario.motion
+    return motion.amplitude**2 if isinstance(motion, FilteredNoise) and motion.amplitude else 1.0
 
 
 class _Watch(BaseCallback):
@@ -138,7 +147,7 @@ class _Watch(BaseCallback):
         self.earthquakes = noise_earthquakes(
             self.scenario, config.evaluation_earthquakes, EVALUATION_SEED
         )
-        self.lqr_cost = _mean_cost(lqr(self.scenario), self)
+        self.earthquakes, self.lqr_cost = _reference(self.scenario, self.earthquakes)
         self.started = time.monotonic()
         self.evaluated = self.saved = self.told = -np.inf
         self.cost_ratio: float | None = None
@@ -189,8 +198,25 @@ def _mean_cost(controller: Any, watch: _Watch) -> float:
     return float(np.mean([m.cost for m in metrics]))
 
 
+def _reference(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[list[Earthquake], float]:
+    """Return the earthquakes that the reference lasts through, and its mean cost on them.
+
+    The reference is LQR, or where that cannot be used as it stands, the clairvoyant: LQR needs the full
+    state of a table that it knows, answers at once and may drift as far as it likes. An earthquake that
+    takes the reference to a limit costs so much that it would be the whole of a mean.
+    """
+    suits = scenario.sensing.full_state and not scenario.delay and not scenario.uncertainty.active
+    if suits and scenario.limits.table_displacement is None:
+        metrics, _ = rollout(lqr(scenario), scenario, earthquakes)
+    else:
+        seen, controller = clairvoyant(scenario, earthquakes)
+        metrics, _ = rollout(controller, seen, earthquakes)
+    lasting = [i for i, m in enumerate(metrics) if m.broken_limit is None] or range(len(metrics))
+    return [earthquakes[i] for i in lasting], float(np.mean([metrics[i].cost for i in lasting]))
+
+
 def _run(
-    model: PPO | SAC,
+    model: Model,
     config: TrainConfig,
     env: ShakeTableVecEnv,
     run: Path,

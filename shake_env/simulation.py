@@ -271,16 +271,21 @@ class Simulation:
         truncated = (self.step_count >= self.episode_steps) & ~terminated
         limit_cost = np.zeros(self.lanes)
         if terminated.any():
-            remaining = np.maximum(self.episode_steps - self.step_count, 1)
-            if self._limit_steps is not None:
-                remaining = np.minimum(remaining, self._limit_steps)
-            limit_cost = np.where(terminated, self._limit_rate * self._severity * remaining, 0.0)
+            limit_cost = np.where(terminated, self.breaking_cost(self.step_count), 0.0)
         observation, self._memory = self.model.observe(
             outcome, ground, action, self._memory, self.noise.advance()
         )
         reward = -(outcome.cost.total + outcome.soft_cost + limit_cost)
         seen, ends = _observation(observation), (terminated, truncated)
         return StepResult(seen, reward, ends, limit_cost, lambda: outcome, lambda: ground)
+
+    def breaking_cost(self, step_count: NDArray[np.int_]) -> FloatArray:
+        """Return what breaking a limit costs (N,) in the period that makes `step_count` (N,) of them."""
+        remaining = np.maximum(self.episode_steps - step_count, 1)
+        if self._limit_steps is not None:
+            remaining = np.minimum(remaining, self._limit_steps)
+        cost: FloatArray = self._limit_rate * self._severity * remaining
+        return cost
 
     def snapshot(self) -> dict[str, Any]:
         """Return everything that `restore` needs to go on exactly."""

@@ -6,11 +6,12 @@ plant on torch tensors.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any
 
 import array_api_compat
+import numpy as np
 
 from shake_env.dynamics import PeriodResponse, TableDynamics, as_like
 from shake_env.excitation import GroundPeriod
@@ -58,9 +59,13 @@ class TableModel:
 
     def like(self, array: Array) -> TableModel:
         """Return this model in the library, precision and device of `array`."""
+        cost = self.stage_cost
+        if np.ndim(cost.force):  # one a table
+            names = (field.name for field in fields(StageCost))
+            cost = StageCost(*(as_like(getattr(cost, name), array) for name in names))
         return TableModel(
             self.dynamics.like(array),
-            self.stage_cost,
+            cost,
             self.limits,
             self.current_limit,
             as_like(self.observation_scale, array),
@@ -83,7 +88,21 @@ class TableModel:
             The ground over this period.
         """
         current = self.current_limit * action.clip(-1.0, 1.0)
-        response = self.dynamics.control_step(state, current, ground.drive)
+        return self.judge(self.dynamics.control_step(state, current, ground.drive), current, ground)
+
+    def judge(self, response: PeriodResponse, current: Array, ground: GroundPeriod) -> Outcome:
+        """Return what a response costs and which limits it breaks.
+
+        Nothing in it feeds back into the table, so that a whole window of periods, stacked along a
+        leading axis, can be judged at once.
+
+        Parameters
+        ----------
+        response, ground
+            Of the period.
+        current
+            (...) command of the period [A].
+        """
         cost = self.stage_cost.terms(
             response.table_acceleration,
             ground.target,
@@ -135,16 +154,33 @@ class TableModel:
         noise
             (..., s) of the readings, SI.
         """
-        state, action = outcome.response.state, action.clip(-1.0, 1.0)
+        return self.look(outcome.response, outcome.floors, ground, action.clip(-1.0, 1.0), memory, noise)
+
+    def look(
+        self,
+        response: PeriodResponse,
+        floors: Array | None,
+        ground: GroundPeriod,
+        action: Array,
+        memory: SensorMemory,
+        noise: Array,
+    ) -> tuple[Array, SensorMemory]:
+        """Return what `observe` returns, of a response that has not been judged.
+
+        Parameters
+        ----------
+        floors
+            (..., stories) accelerations of the floors [m/s^2]; needed where they are measured.
+        action
+            (...) of the period, within [-1, 1].
+        """
+        state = response.state
         if self.measurement.layout.sensing.full_state:
             memory = replace(memory, action=action)
             head = self.full_state(state, ground)
             return self.measurement.observation(head, None, ground.preview, memory), memory
         signals = self.measurement.signals(
-            state,
-            outcome.response.table_acceleration[..., -1],
-            outcome.response.base_shear[..., -1],
-            outcome.floors,
+            state, response.table_acceleration[..., -1], response.base_shear[..., -1], floors
         )
         readings, memory = self.measurement.read(memory, signals, noise, action)
         return self.show(readings, ground, memory)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from agents.base_law import base_row
 from agents.compare import shipped_policy
-from agents.config import PPOOptions, SACOptions, TrainConfig
+from agents.config import AnalyticOptions, PPOOptions, SACOptions, TrainConfig
 from agents.export import export_policy
 from agents.features import feature_matrix
 from agents.models import new_model
@@ -21,14 +21,16 @@ from shake_env import make_scenario
 from shake_env.errors import PolicyFileError
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
-def test_a_file_gives_the_action_that_sb3_gives(algorithm, tmp_path):
+@pytest.mark.parametrize("friction", [0.0, 300.0])
+@pytest.mark.parametrize("algorithm", ["ppo", "sac", "analytic"])
+def test_a_file_gives_the_action_that_sb3_gives(algorithm, friction, tmp_path):
     config = TrainConfig(
         algorithm=algorithm,
         ppo=PPOOptions(tables=2, rollout_steps=8, batch_size=16),
         sac=SACOptions(tables=2, buffer_size=100),
+        analytic=AnalyticOptions(tables=2),
     )
-    scenario = make_scenario()
+    scenario = make_scenario("linear", {"fields": {"nonlinearity.friction.coulomb": friction}})
     env = ShakeTableVecEnv(scenario, 2, base=base_row("flow", scenario), authority=0.25)
     model = new_model(config, scenario, env)
     # Fresh networks act near zero: larger weights show every layer and both ends of the clipping.
@@ -49,6 +51,31 @@ def test_a_file_gives_the_action_that_sb3_gives(algorithm, tmp_path):
     assert policy.card == {"seed": 0}
 
 
+@pytest.mark.parametrize("name", ["laboratory", "unknown-specimen"])
+def test_a_file_with_a_memory_gives_the_action_that_sb3_gives(name, tmp_path):
+    scenario = make_scenario(name)
+    env = ShakeTableVecEnv(scenario, 2)
+    options = AnalyticOptions(tables=2, memory=16)
+    model = new_model(TrainConfig(algorithm="analytic", analytic=options), scenario, env)
+    for parameter in model.policy.parameters():
+        parameter.data.mul_(1.5)
+    path = tmp_path / "policy.safetensors"
+    export_policy(model, env, {"seed": 0}).save(path)
+    policy = load_policy(path)
+    policy.check(scenario)
+    rng = np.random.default_rng(0)
+    state = expected_state = single_state = None
+    for step in range(50):
+        observation = rng.normal(0.0, 0.5, (20, scenario.observation.size)).astype(np.float32)
+        begun = rng.random(20) < 0.1 if step else np.ones(20, dtype=bool)
+        action, state = policy.predict(observation, state, begun)
+        expected, expected_state = model.predict(observation, expected_state, begun)
+        np.testing.assert_allclose(action, expected, atol=1e-6)
+        single, single_state = policy.predict(observation[3], single_state, begun[3:4])
+        np.testing.assert_allclose(single, expected[3], atol=1e-6)
+    assert np.ptp(expected) > 0.1
+
+
 @pytest.mark.parametrize("stories", [1, 2, 5])
 def test_features_are_an_invertible_map_of_what_can_be_observed(stories):
     scenario = make_scenario("linear", {"stories": stories})
@@ -57,6 +84,40 @@ def test_features_are_an_invertible_map_of_what_can_be_observed(stories):
     position = scenario.plant.layout.table_displacement
     assert np.all(matrix[:, position] == 0.0)
     assert np.linalg.cond(matrix[:, kept]) < 1e3
+
+
+@pytest.mark.parametrize("name", ["laboratory", "unknown-specimen", "records"])
+def test_features_of_measured_signals_lose_nothing(name):
+    scenario = make_scenario(name)
+    matrix = feature_matrix(scenario)
+    size = scenario.observation.size
+    assert np.linalg.matrix_rank(matrix) == size
+    assert np.linalg.cond(matrix[:size]) < 1e3  # without the velocity that friction repeats
+
+
+def test_features_of_measured_signals_are_errors_from_the_target():
+    scenario = make_scenario("laboratory")
+    layout, plant = scenario.observation, scenario.plant
+    matrix = feature_matrix(scenario)
+    # A table that moves as the ground does, under a target that stays as it is.
+    ground = np.random.default_rng(0).normal(size=4) * plant.state_scale[:4]
+    target = float(plant.coupled.C[2, :4] @ ground)
+    signals = {
+        "table_acceleration": target,
+        "table_velocity": ground[3],
+        "table_displacement": ground[2],
+    }
+    observation = np.zeros(layout.size)
+    observation[:4] = ground / plant.state_scale[:4]
+    for place, name in enumerate(layout.reading_names):
+        size = layout.reading_scale[place]
+        observation[layout.readings.start + place] = signals.get(name, 0.0) / size
+    observation[layout.preview] = target / np.sqrt(plant.target_variance)
+    features = matrix @ observation
+    for name in signals:
+        place = layout.readings.start + layout.reading_names.index(name)
+        assert abs(features[place]) < 1e-9
+    assert np.max(np.abs(features[layout.preview])) < 1e-9
 
 
 def test_the_shipped_policy_says_how_it_was_made():

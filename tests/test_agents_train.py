@@ -10,18 +10,20 @@ import numpy as np
 import pytest
 
 from agents.checkpoint import checkpoints
-from agents.config import PPOOptions, SACOptions, TrainConfig, read_config
+from agents.config import AnalyticOptions, PPOOptions, SACOptions, TrainConfig, read_config
+from agents.options import ScenarioOptions
 from agents.policy_file import load_policy
 from agents.train import resume, train
 from shake_env.errors import ParameterError, RunDirectoryError
 
 
-def small(algorithm, **changes):
+def small(algorithm, memory=0, **changes):
     """A run of a few seconds that checkpoints between any two roll-outs."""
     return TrainConfig(
         algorithm=algorithm,
         ppo=PPOOptions(tables=4, rollout_steps=32, batch_size=64, epochs=2),
         sac=SACOptions(tables=4, batch_size=32, gradient_steps=1, buffer_size=2000, warmup_steps=64),
+        analytic=AnalyticOptions(tables=4, window=16, memory=memory, terminal_value=True),
         hidden=(16,),
         episode=0.2,
         total_steps=512,
@@ -32,9 +34,18 @@ def small(algorithm, **changes):
     )
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
-def test_an_interrupted_run_ends_with_the_same_parameters(algorithm, tmp_path):
-    config = small(algorithm)
+@pytest.mark.parametrize(
+    ("algorithm", "options"),
+    [
+        ("ppo", {}),
+        ("sac", {}),
+        ("analytic", {}),
+        ("analytic", {"memory": 8, "scenario": ScenarioOptions("unknown-specimen")}),
+    ],
+    ids=str,
+)
+def test_an_interrupted_run_ends_with_the_same_parameters(algorithm, options, tmp_path):
+    config = small(algorithm, **options)
     whole = train(config, tmp_path / "whole")
 
     def kill(progress):
@@ -48,7 +59,9 @@ def test_an_interrupted_run_ends_with_the_same_parameters(algorithm, tmp_path):
     assert resumed.steps == whole.steps
     assert resumed.cost == whole.cost
     one, two = (load_policy(tmp_path / run / "policy.safetensors") for run in ("whole", "cut"))
-    for a, b in zip((*one.weights, *one.biases), (*two.weights, *two.biases), strict=True):
+    memories = ([*vars(p.memory).values()] if p.memory else [] for p in (one, two))
+    pairs = zip(*memories, strict=True)
+    for a, b in (*zip((*one.weights, *one.biases), (*two.weights, *two.biases), strict=True), *pairs):
         np.testing.assert_array_equal(a, b)
 
 
@@ -110,10 +123,11 @@ def test_the_configuration_survives_its_file(tmp_path):
         {"seed": -1},
         {"hidden": ()},
         {"ppo": PPOOptions(tables=64, epochs=0)},
+        {"analytic": AnalyticOptions(warmup=1.0)},
     ],
 )
 def test_bad_options_are_named(bad):
-    name = "epochs" if "ppo" in bad else next(iter(bad))
+    name = {"ppo": "epochs", "analytic": "warmup"}.get(key := next(iter(bad)), key)
     with pytest.raises(ParameterError, match=name):
         TrainConfig(**bad)
 

@@ -1,0 +1,218 @@
+"""N tables in torch over a window of control periods, so that a cost can be differentiated through them.
+
+Ground, previews and sensor noise come from the environment's own numpy streams, computed ahead for the
+window and moved once. What the tables pass on from window to window is data: gradients end there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from agents.sb3_vec_env import ShakeTableVecEnv
+from agents.torch_plant import torch_model
+from shake_env.dynamics import PeriodResponse, as_like
+from shake_env.excitation import GroundPeriod
+from shake_env.limits import OBSERVATION_BOUND
+from shake_env.measurement import SensorMemory
+from shake_env.plant import TABLE_DISPLACEMENT
+from shake_env.sensing import FLOOR_ACCELERATIONS
+from shake_env.transition import TableModel
+
+Act = Callable[[torch.Tensor], torch.Tensor]  # observation (N, n) to the policy's action (N,)
+
+
+@dataclass(frozen=True)
+class Window:
+    """What N tables did over H control periods.
+
+    A lane whose episode ends before the window does (its motion ends, or it breaks a limit) is stepped
+    on, for nothing: past `ends` its rewards are zero.
+    """
+
+    rewards: torch.Tensor  # (H, N) times the environment's reward scale; carries the gradient
+    observation: torch.Tensor  # (N, n) at the window's end; carries the gradient
+    ends: torch.Tensor  # (N,) control periods that count, 1 to H
+    terminated: torch.Tensor  # (N,) a limit was broken at `ends`
+    steps: NDArray[np.int_]  # (N,) `ends` in numpy
+    returns: NDArray[np.float64]  # (N,) sum of the true rewards
+    broken: NDArray[np.int_]  # (N,) code of the broken limit, or 0
+    state: torch.Tensor  # (N, states) at the window's end
+    memory: SensorMemory  # then
+
+
+class TorchTables:
+    """The tables of an environment, followed in torch.
+
+    Parameters
+    ----------
+    env
+        Whose tables, streams, base law and reward scale they are.
+    device
+        Of the tensors.
+    dtype
+        Of the plant's state. In single precision the oil column's stiffness costs about four digits.
+    """
+
+    def __init__(
+        self,
+        env: ShakeTableVecEnv,
+        *,
+        device: torch.device | str = "cpu",
+        dtype: torch.dtype = torch.float64,
+    ) -> None:
+        self.env = env
+        self.like = torch.zeros(1, dtype=dtype, device=device)
+        # A base law is a row over the observation; one with a memory of its own would be called here.
+        self._base = as_like(env.base, self.like) if np.any(env.base) else None
+        self._model: TableModel | None = None
+        sensors = env.scenario.sensing.sensors or ()
+        self._measures_floors = any(s.signal == FLOOR_ACCELERATIONS for s in sensors)
+
+    @property
+    def model(self) -> TableModel:
+        """The plants as they are drawn now."""
+        simulation = self.env.simulation
+        if self._model is None or simulation.fleet is not None:
+            self._model = torch_model(simulation.model, self.like)
+        return self._model
+
+    def roll(self, act: Act, steps: int) -> Window:
+        """Follow the tables over `steps` control periods; :meth:`commit` puts the environment there.
+
+        Parameters
+        ----------
+        act
+            Called once a control period, in order, with the observations.
+        steps
+            Control periods H of the window.
+        """
+        simulation, model = self.env.simulation, self.model
+        ground, noise = self._ahead(steps)
+        state = as_like(simulation.state, self.like)
+        memory = simulation.memory.like(self.like)
+        observation = as_like(self.env.observation, self.like)
+        kept = torch.ones(self.env.num_envs, dtype=torch.bool, device=self.like.device)
+        responses: list[PeriodResponse] = []
+        currents: list[torch.Tensor] = []
+        for t in range(steps):
+            action = self._action(act(observation), observation)
+            current = model.current_limit * action
+            period = _row(ground, t)
+            response = model.dynamics.control_step(state, current, period.drive)
+            responses.append(response)
+            currents.append(current)
+            # A diverged table is put to rest, so that no gradient meets an infinite number.
+            kept = kept & self._finite(model, response.state)
+            state = torch.where(kept[:, None], response.state, 0.0)
+            seen = replace(response, state=state)
+            floors = model.floors(state) if self._measures_floors else None
+            observation, memory = model.look(seen, floors, period, action, memory, noise[t])
+        stacked = PeriodResponse(
+            *(torch.stack([getattr(r, f.name) for r in responses]) for f in fields(PeriodResponse))
+        )
+        outcome = model.judge(stacked, torch.stack(currents), ground)
+        return self._window(
+            outcome.cost.total + outcome.soft_cost, outcome.broken, observation, state, memory
+        )
+
+    def commit(
+        self, window: Window
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Put the environment at a window's end; lanes whose episode ended begin their next one.
+
+        Returns
+        -------
+        Observations, which lanes have just begun, and infos, as :meth:`ShakeTableVecEnv.skip` returns.
+        """
+        memory = {f.name: _numpy(getattr(window.memory, f.name)) for f in fields(SensorMemory)}
+        seen = np.clip(_numpy(window.observation), -OBSERVATION_BOUND, OBSERVATION_BOUND)
+        return self.env.skip(
+            _numpy(window.state),
+            SensorMemory(**memory),
+            seen.astype(np.float32),
+            steps=window.steps,
+            returns=window.returns,
+            broken=window.broken,
+        )
+
+    def _action(self, correction: torch.Tensor, observation: torch.Tensor) -> torch.Tensor:
+        """Return the action within [-1, 1]."""
+        action = self.env.authority * correction.to(self.like.dtype).clip(-1.0, 1.0)
+        if self._base is None:
+            return action
+        return (observation @ self._base + action).clip(-1.0, 1.0)
+
+    @staticmethod
+    @torch.no_grad()
+    def _finite(model: TableModel, state: torch.Tensor) -> torch.Tensor:
+        first = model.filter_states
+        bound = OBSERVATION_BOUND * model.observation_scale[first : first + model.controlled]
+        inside = state[:, : model.controlled].abs() <= bound
+        inside[:, TABLE_DISPLACEMENT] = True  # it may drift
+        return inside.all(dim=-1)
+
+    def _window(
+        self,
+        cost: torch.Tensor,
+        codes: torch.Tensor,
+        observation: torch.Tensor,
+        state: torch.Tensor,
+        memory: SensorMemory,
+    ) -> Window:
+        simulation, scale = self.env.simulation, self.env.reward_scale
+        broken = codes.cpu().numpy()  # (H, N)
+        steps, lanes = broken.shape
+        ever = broken != 0
+        breaks = np.where(ever.any(axis=0), ever.argmax(axis=0) + 1, steps + 1)
+        left = np.minimum(simulation.episode_steps - simulation.step_count, steps)
+        terminated = breaks <= left
+        ends = np.where(terminated, breaks, left)
+        last = (ends - 1, np.arange(lanes))
+        extra = np.zeros((steps, lanes))  # what broken limits cost: data, without a gradient
+        extra[last] = np.where(terminated, simulation.breaking_cost(simulation.step_count + ends), 0.0)
+        counts = np.arange(steps)[:, None] < ends
+        running = torch.as_tensor(counts, device=self.like.device)
+        total = torch.where(running, cost, 0.0) + as_like(extra, self.like)
+        return Window(
+            rewards=-scale * total,
+            observation=observation,
+            ends=torch.as_tensor(ends, device=self.like.device),
+            terminated=torch.as_tensor(terminated, device=self.like.device),
+            steps=ends,
+            returns=-_numpy(total).sum(axis=0),
+            broken=np.where(terminated, broken[last], 0),
+            state=state,
+            memory=memory,
+        )
+
+    def _ahead(self, steps: int) -> tuple[GroundPeriod, torch.Tensor]:
+        """Return ground (H, N, ...) and sensor noise (H, N, s) of the coming control periods."""
+        simulation = self.env.simulation
+        rows: dict[str, list[Any]] = {field.name: [] for field in fields(GroundPeriod)}
+        noise = []
+        for _ in range(steps):
+            period = simulation.excitation.advance()
+            for name, column in rows.items():
+                part = getattr(period, name)
+                column.append(None if part is None else part.copy())
+            noise.append(simulation.noise.advance().copy())
+        stacked = {
+            name: None if column[0] is None else np.stack(column) for name, column in rows.items()
+        }
+        return GroundPeriod(**stacked).like(self.like), as_like(np.stack(noise), self.like)
+
+
+def _row(ground: GroundPeriod, t: int) -> GroundPeriod:
+    parts = (getattr(ground, field.name) for field in fields(GroundPeriod))
+    return GroundPeriod(*(None if part is None else part[t] for part in parts))
+
+
+def _numpy(tensor: torch.Tensor) -> NDArray[np.float64]:
+    array: NDArray[np.float64] = tensor.detach().cpu().numpy().astype(np.float64)
+    return array
