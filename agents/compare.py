@@ -20,7 +20,7 @@ from baselines.catalogue import BASELINES
 from baselines.clairvoyant import clairvoyant
 from baselines.registry import make_baseline, reference_name
 from shake_env.controller import Controller
-from shake_env.errors import NumericalError, ParameterError, PolicyFileError, ScenarioError, unknown
+from shake_env.errors import ParameterError, PolicyFileError, ScenarioError, ShakeError, unknown
 from shake_env.metrics import EpisodeMetrics
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
 from shake_env.scenario import Scenario
@@ -137,7 +137,7 @@ def named_controllers(
                 try:
                     if each not in controllers:
                         controllers[each] = make_baseline(each, scenario, None, earthquakes)
-                except (ScenarioError, NumericalError) as error:
+                except ShakeError as error:  # it does not suit the scenario, or its design fails there
                     skipped.append(f"{each} ({error})")
         elif name == CLAIRVOYANT:
             continue  # runs on a scenario of its own: `compare` sees to it

@@ -1,7 +1,8 @@
 """The controller that knows too much: true plant, full state, half a second of the target, no delay.
 
-Regret is counted from what it reaches. On a linear plant it is within its preview of the best that any
-controller could do; with friction, limits or yielding storeys it is a law that knows everything, with
+Regret is counted from what it reaches. On a linear plant no causal law with these samples of the target
+does better; one that knew the target between the control instants, too, could: on the linear scenario
+LQR's cost falls to 0.22 of itself here and to 0.14 with the whole future known. With friction, limits or yielding storeys it is a law that knows everything, with
 the engineer's feed-forward, and a better one may exist. Where the stroke is limited it minds its place.
 """
 
@@ -25,7 +26,7 @@ from shake_env.uncertainty import Uncertainty
 
 POSITION = 0.05  # [m] see `preview_lqr`; where the stroke is limited
 FRICTION_POSITION = 0.01  # [m] where a part is nonlinear, too: holding the place holds friction's drift
-PREVIEW = 0.5  # [s] beyond which the cost falls by less than 1e-4 of it
+PREVIEW = 0.5  # [s] of samples a control period apart; a longer one gains a percent
 
 
 def seen_through(scenario: Scenario) -> Scenario:
