@@ -2,8 +2,9 @@
 
 Regret is counted from what it reaches. On a linear plant no causal law with these samples of the target
 does better; one that knew the target between the control instants, too, could: on the linear scenario
-LQR's cost falls to 0.22 of itself here and to 0.14 with the whole future known. With friction, limits or yielding storeys it is a law that knows everything, with
-the engineer's feed-forward, and a better one may exist. Where the stroke is limited it minds its place.
+LQR's cost falls to 0.22 of itself here, and to 0.14 with the whole future known. With friction, limits
+or yielding storeys it is a law that knows everything, with the engineer's feed-forward, and a better one
+may exist. Where the stroke is limited it minds its place.
 """
 
 from __future__ import annotations
