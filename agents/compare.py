@@ -27,7 +27,7 @@ from shake_env.scenario import Scenario
 from shake_env.simulation import Simulation
 from shake_env.trajectory import Trajectory
 
-SHIPPED = "policy"  # name of the policy that comes with the package
+SHIPPED = {"policy": "linear-ppo", "policy-analytic": "linear-analytic"}  # what comes with the package
 FIGURES = (
     "acceleration_rms_error",
     "acceleration_peak_error",
@@ -97,9 +97,9 @@ class Comparison:
         }
 
 
-def shipped_policy() -> Path:
-    """Return the policy file that comes with the package."""
-    return Path(str(resources.files("agents") / "pretrained" / "linear-ppo.safetensors"))
+def shipped_policy(name: str = "policy") -> Path:
+    """Return a policy file that comes with the package, by its name in `SHIPPED`."""
+    return Path(str(resources.files("agents") / "pretrained" / f"{SHIPPED[name]}.safetensors"))
 
 
 def named_controllers(
@@ -111,8 +111,8 @@ def named_controllers(
     ----------
     names
         Names of `baselines.catalogue`, ``all`` for every one of them that suits the scenario, ``policy``
-        (the shipped one), ``clairvoyant`` or paths of policy files and run directories. The reference,
-        which costs are relative to, is always among them.
+        and ``policy-analytic`` (those that ship), ``clairvoyant`` or paths of policy files and run
+        directories. The reference, which costs are relative to, is always among them.
     scenario
         What they drive. What ``all`` or ``policy`` stand for is left out where it does not suit; what is
         named raises.
@@ -141,13 +141,13 @@ def named_controllers(
                     skipped.append(f"{each} ({error})")
         elif name == CLAIRVOYANT:
             continue  # runs on a scenario of its own: `compare` sees to it
-        elif name == SHIPPED:
-            policy = load_policy(shipped_policy())
+        elif name in SHIPPED:
+            policy = load_policy(shipped_policy(name))
             try:
                 policy.check(scenario)
-                controllers[SHIPPED] = policy
+                controllers[name] = policy
             except PolicyFileError as error:
-                skipped.append(f"the shipped policy ({error})")
+                skipped.append(f"the shipped {name} ({error})")
         elif name in BASELINES:
             if name == "lqr" and not scenario.sensing.full_state:
                 # A default that names LQR should not stop a scenario that does not show its state.
@@ -156,7 +156,7 @@ def named_controllers(
             if name not in controllers:
                 controllers[name] = make_baseline(name, scenario, None, earthquakes)
         elif not (Path(name).exists() or "/" in name or "." in name):
-            raise unknown(ScenarioError, "controller", name, [*BASELINES, ALL, CLAIRVOYANT, SHIPPED])
+            raise unknown(ScenarioError, "controller", name, [*BASELINES, ALL, CLAIRVOYANT, *SHIPPED])
         else:
             path = Path(name)
             policy = load_policy(path / "policy.safetensors" if path.is_dir() else path)
