@@ -43,9 +43,9 @@ class Compare:
     """
 
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
-    controllers: tuple[str, ...] = ("lqr", "none", "policy", "policy-analytic")
+    controllers: tuple[str, ...] = ("lqr", "none", "policy", "analytic")
     """Names of classical controllers, all (every one that suits the scenario), policy and
-    policy-analytic (those that ship), or paths of policy files and run directories."""
+    analytic (those that ship), or paths of policy files and run directories."""
     noise: int = 32
     """Number of filtered-noise earthquakes."""
     records: bool = True

@@ -27,7 +27,7 @@ from shake_env.scenario import Scenario
 from shake_env.simulation import Simulation
 from shake_env.trajectory import Trajectory
 
-SHIPPED = {"policy": "linear-ppo", "policy-analytic": "linear-analytic"}  # what comes with the package
+SHIPPED = {"policy": "linear-ppo", "analytic": "linear-analytic"}  # what comes with the package
 FIGURES = (
     "acceleration_rms_error",
     "acceleration_peak_error",
@@ -111,7 +111,7 @@ def named_controllers(
     ----------
     names
         Names of `baselines.catalogue`, ``all`` for every one of them that suits the scenario, ``policy``
-        and ``policy-analytic`` (those that ship), ``clairvoyant`` or paths of policy files and run
+        and ``analytic`` (those that ship), ``clairvoyant`` or paths of policy files and run
         directories. The reference, which costs are relative to, is always among them.
     scenario
         What they drive. What ``all`` or ``policy`` stand for is left out where it does not suit; what is
