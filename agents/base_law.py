@@ -26,8 +26,7 @@ def base_row(law: BaseLaw, scenario: Scenario) -> FloatArray:
     layout, actuator = scenario.plant.layout, scenario.actuator
     gain = np.zeros(layout.order)
     if law == "flow":
-        flow_per_ampere = actuator.flow_gain * actuator.valve_gain
-        gain[layout.table_velocity] = -actuator.piston_area / flow_per_ampere
+        gain[layout.table_velocity] = -1.0 / actuator.velocity_gain
     elif law == "lqr":
         gain = sampled_lqr(scenario.discrete, scenario.stage_cost).gain
     return action_row(scenario, gain)

@@ -54,7 +54,7 @@ class DisplacementHold:
         if not 0.0 < frequency < math.inf:
             raise ParameterError("frequency", frequency, "must be above 0 Hz, finite")
         shown, plant = scenario.observation, scenario.plant
-        self.gain = 2.0 * math.pi * frequency / flow_velocity(scenario)  # [A/m]
+        self.gain = 2.0 * math.pi * frequency / scenario.actuator.velocity_gain  # [A/m]
         if scenario.sensing.full_state:
             self._entry = plant.layout.table_displacement
             scale = float(plant.state_scale[self._entry])
@@ -76,12 +76,6 @@ class DisplacementHold:
         """Return the action (..., 1) for an observation (..., n), within [-1, 1]."""
         action = np.clip(self._weight * observation[..., self._entry], -1.0, 1.0)
         return action[..., None].astype(np.float32), None
-
-
-def flow_velocity(scenario: Scenario) -> float:
-    """Return the steady velocity of an unloaded piston per current, ``K_q K_v / A_p`` [m/(A s)]."""
-    a = scenario.actuator
-    return a.flow_gain * a.valve_gain / a.piston_area
 
 
 class DriveFile:

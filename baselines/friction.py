@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.output_feedback import NominalTable
-from baselines.pid import velocity_gain
 from baselines.signals import ACCELERATION, VELOCITY, Memory, SignalReader, recall
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError
@@ -59,7 +58,7 @@ def mismatch(scenario: Scenario, frequency: FloatArray) -> FloatArray:
     table, s = NominalTable.of(scenario), 2j * math.pi * frequency
     lag = scenario.actuator.valve_time_constant
     # The samples of the response are those at the period's ends; the command's are at their starts.
-    simple = velocity_gain(scenario) / (1.0 + lag * s)
+    simple = scenario.actuator.velocity_gain / (1.0 + lag * s)
     simple = simple * np.exp(-s * dead_periods(scenario) * table.period)
     missed: FloatArray = np.abs(1.0 - table.response(frequency)[:, VELOCITY] / simple)
     return missed
@@ -95,7 +94,7 @@ class DisturbanceObserver:
         self.controller = controller
         self._reader = SignalReader(scenario, NEEDS)
         self._limit = scenario.current_limit
-        self._gain, self._lag = velocity_gain(scenario), scenario.actuator.valve_time_constant
+        self._gain, self._lag = scenario.actuator.velocity_gain, scenario.actuator.valve_time_constant
         corner = observer_corner(scenario, design or ObserverDesign())
         self._follow = -math.expm1(-2.0 * math.pi * corner * scenario.control_period)
         # Commands before the present, newest first, as they arrive at the middle of the dead time.

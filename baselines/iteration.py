@@ -27,7 +27,6 @@ from baselines.drive_file import (
     PeriodModel,
     Repeat,
     Tests,
-    flow_velocity,
     repeat_tests,
     run_test,
 )
@@ -183,7 +182,7 @@ def regularised_inverse(
     scenario: Scenario, plan: IterationPlan, response: ComplexArray, omega: FloatArray
 ) -> ComplexArray:
     """Return H (..., lines) [A s^2/m]; nowhere above ``1 / (2 eps)``, and zero where G is."""
-    eps = plan.regularisation * omega * flow_velocity(scenario)
+    eps = plan.regularisation * omega * scenario.actuator.velocity_gain
     square = np.abs(response) ** 2 + eps**2
     return response.conj() / np.where(square > 0.0, square, 1.0)
 

@@ -20,7 +20,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.pid import velocity_gain
 from baselines.signals import (
     DISPLACEMENT,
     TARGET_ACCELERATION,
@@ -98,7 +97,7 @@ class MCS:
         self._reader = SignalReader(scenario, NEEDS)
         self._limit, self._period = scenario.current_limit, scenario.control_period
         self._omega = 2.0 * math.pi * found.bandwidth
-        self._unit = self._omega / (2.0 * found.damping_ratio * velocity_gain(scenario))  # [A/m]
+        self._unit = self._omega / (2.0 * found.damping_ratio * scenario.actuator.velocity_gain)  # [A/m]
 
     def gains(self, state: Memory) -> FloatArray:
         """Return the integral gains (..., 4) out of the memory, in the design's unit."""

@@ -93,7 +93,7 @@ def ultimate_point(scenario: Scenario, pressure: float = 0.0) -> UltimatePoint:
     NumericalError
         If the loop is unstable at any gain, or stable up to `HIGHEST_GAIN`.
     """
-    table, unit = NominalTable.of(scenario), velocity_gain(scenario)
+    table, unit = NominalTable.of(scenario), scenario.actuator.velocity_gain
 
     def loop(gain: float) -> ClosedLoop:
         gains = PIDGains(
@@ -114,12 +114,6 @@ def ultimate_point(scenario: Scenario, pressure: float = 0.0) -> UltimatePoint:
         low, high = (middle, high) if loop(middle).radius < 1.0 else (low, middle)
     angle = abs(float(np.angle(loop(high).poles[0])))
     return UltimatePoint(float(low) / unit, 2.0 * math.pi * table.period / angle)
-
-
-def velocity_gain(scenario: Scenario) -> float:
-    """Return k_v [m/(s A)]: the table's steady velocity for an ampere."""
-    a = scenario.actuator
-    return a.flow_gain * a.valve_gain / a.piston_area
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,8 +146,8 @@ class PIDRule:
         """
         if self.bandwidth is not None:
             omega = 2.0 * math.pi * self.bandwidth
-            k_p, T_i, T_d = omega / velocity_gain(scenario), 5.0 / omega, 0.0
-            feed_forward = 1.0 / velocity_gain(scenario)
+            k_p, T_i, T_d = omega / scenario.actuator.velocity_gain, 5.0 / omega, 0.0
+            feed_forward = 1.0 / scenario.actuator.velocity_gain
         else:
             assert self.share is not None  # as checked
             point = ultimate_point(scenario, self.pressure)

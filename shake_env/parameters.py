@@ -99,6 +99,11 @@ class Actuator:
         return 4.0 * self.bulk_modulus * self.piston_area**2 / self.oil_volume
 
     @property
+    def velocity_gain(self) -> float:
+        """Steady velocity of the unloaded table for an ampere, K_q K_v / A_p [m/(s A)]."""
+        return self.flow_gain * self.valve_gain / self.piston_area
+
+    @property
     def oil_column_frequency(self) -> float:
         """Oil-column frequency f_ac [Hz]: 35.07 with Table I, where the paper's text says 30."""
         return math.sqrt(self.oil_stiffness / self.table_mass) / (2.0 * math.pi)

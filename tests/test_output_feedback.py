@@ -13,7 +13,6 @@ from baselines.pid import (
     pid,
     pid_law,
     ultimate_point,
-    velocity_gain,
 )
 from baselines.signals import SIGNALS, TABLE_SIGNALS, SignalReader
 from shake_env.errors import NumericalError, ParameterError, ScenarioError
@@ -114,7 +113,7 @@ def steady_ramp_error(scenario, gains):
 
 def test_integral_action_leaves_no_steady_error_to_a_ramp():
     scenario = make_scenario("linear")
-    k_p = 2.0 * np.pi * 1.0 / velocity_gain(scenario)
+    k_p = 2.0 * np.pi * 1.0 / scenario.actuator.velocity_gain
     without = PIDGains(proportional=k_p, integral_time=np.inf, derivative_time=0.0)
     with_it = replace(without, integral_time=0.8)
     period = scenario.control_period
