@@ -68,6 +68,7 @@ class Compare:
         """Compare, print, write."""
         from agents.compare import compare
         from agents.compare_output import print_tables, write_files
+        from shake_env.rollout import recorded_earthquakes
 
         if self.noise < 0:
             raise ParameterError("noise", self.noise, "must be at least 0")
@@ -75,6 +76,9 @@ class Compare:
         motions = motion_earthquakes(
             self.motion, self.motion_options, scenario, scale=self.scale, console=console
         )
+        for quake in recorded_earthquakes(scenario) if self.records else ():
+            if quake.motion.amplitude != 1.0:  # scaled to the table, or by the scenario
+                console.print(f"record {quake.name}: amplitude x {quake.motion.amplitude:.4g}")
         with progress_bar() as progress:
             tasks: dict[str, Any] = {}
 

@@ -27,7 +27,7 @@ from shake_env.preparation import (
     remove_baseline,
 )
 from shake_env.records import Record, read_motion
-from shake_env.rollout import Earthquake
+from shake_env.rollout import Earthquake, record_amplitude
 from shake_env.scenario import Scenario
 
 OFFSET_WORTH_SAYING = 0.05  # of the peak
@@ -130,10 +130,10 @@ def motion_earthquakes(
 ) -> list[Earthquake]:
     """Return an earthquake for every channel of every file, scaled to the table unless told not to.
 
-    The scale is printed, and multiplies the scenario's own amplitude.
+    The scale is printed, and multiplies the amplitude at which the scenario takes a record.
     """
     earthquakes: list[Earthquake] = []
-    capacity, amplitude = options.capacity(scenario), scenario.motion.amplitude
+    capacity, amplitude = options.capacity(scenario), record_amplitude(scenario)
     for path in paths:
         for record in options.read(path):
             plain = options.motion(record)

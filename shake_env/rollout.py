@@ -43,6 +43,16 @@ def noise_earthquakes(scenario: Scenario, number: int, seed: int = 0) -> list[Ea
     return [Earthquake(f"noise {seed + i}", motion, seed + i) for i in range(number)]
 
 
+def record_amplitude(scenario: Scenario) -> float:
+    """Return the amplitude at which a scenario takes a record, before it is scaled to the table.
+
+    The scenario's own; but where the stroke is limited the amplitude of filtered noise was chosen for
+    that, and a record is scaled on its own account.
+    """
+    limited = scenario.limits.table_displacement is not None
+    return 1.0 if limited and isinstance(scenario.motion, FilteredNoise) else scenario.motion.amplitude
+
+
 def recorded_earthquakes(scenario: Scenario) -> list[Earthquake]:
     """Return the embedded records, prepared as the scenario's own motion is if that is a record.
 
@@ -54,8 +64,7 @@ def recorded_earthquakes(scenario: Scenario) -> list[Earthquake]:
         return [Earthquake(m.source.name, m) for m in motion.scaled]
     limited = scenario.limits.table_displacement is not None
     if not isinstance(motion, RecordedMotion):
-        amplitude = 1.0 if limited else motion.amplitude
-        motion = RecordedMotion(record=RECORD_NAMES[0], amplitude=amplitude)
+        motion = RecordedMotion(record=RECORD_NAMES[0], amplitude=record_amplitude(scenario))
     motions = [replace(motion, record=name) for name in RECORD_NAMES]
     if limited:
         capacity = TableCapacity.of(scenario.actuator, scenario.specimen)

@@ -177,3 +177,23 @@ def test_scenario_command_prints_every_field(capsys):
     path = next(p for p in numbers if p.startswith("nonlinearity.friction"))
     again = make_scenario("laboratory", {"fields": {path: shown["fields"][path]}})
     assert again == make_scenario("laboratory")
+
+
+def test_the_noise_of_a_limited_table_does_not_scale_its_records():
+    from shake_env.rollout import record_amplitude, recorded_earthquakes
+
+    laboratory, linear = make_scenario("laboratory"), make_scenario("linear", {"amplitude": 0.5})
+    assert record_amplitude(laboratory) == 1.0 and record_amplitude(linear) == 0.5
+    factors = [quake.motion.amplitude for quake in recorded_earthquakes(laboratory)]
+    assert min(factors) < 0.7 and max(factors) <= 1.0
+
+
+def test_validation_takes_the_linear_part_of_any_scenario():
+    from agents.validate_command import linear_part
+    from baselines.lqr import lqr
+
+    for name in ("laboratory", "unknown-specimen", "yielding"):
+        part = linear_part(make_scenario(name))
+        assert not part.nonlinearity.active and not part.uncertainty.active and part.delay == 0.0
+        assert lqr(part) is not None  # shows the full state
+    assert linear_part(make_scenario()) == make_scenario()
