@@ -59,6 +59,8 @@ class Compare:
     motion_options: Annotated[MotionOptions, tyro.conf.arg(name="motion")] = field(
         default_factory=MotionOptions
     )
+    supervised: bool = False
+    """Whether a supervisor keeps every controller within the scenario's hard limits."""
     output: Path | None = None
     """Folder for JSON, CSV and the figure (default: out/compare; with --json: none)."""
     json: bool = False
@@ -94,6 +96,7 @@ class Compare:
                 records=self.records,
                 seed=self.seed,
                 motions=motions,
+                supervised=self.supervised,
                 on_progress=on_progress,
             )
         settings = _plain(asdict(self))

@@ -25,6 +25,7 @@ from shake_env.metrics import EpisodeMetrics
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
 from shake_env.scenario import Scenario
 from shake_env.simulation import Simulation
+from shake_env.supervisor import Supervised
 from shake_env.trajectory import Trajectory
 
 SHIPPED = {"policy": "linear-ppo", "analytic": "linear-analytic"}  # what comes with the package
@@ -77,6 +78,7 @@ class Comparison:
     reference: str  # controller that costs are relative to
     traced: str  # name of the earthquake that was traced
     skipped: list[str]  # what was left out, and why
+    interventions: dict[str, float]  # by controller: share of commands that a supervisor changed
 
     def to_json(self, settings: dict[str, Any]) -> dict[str, Any]:
         """Return everything but the traces as plain JSON values."""
@@ -94,6 +96,7 @@ class Comparison:
             "reference": self.reference,
             "traced": self.traced,
             "skipped": self.skipped,
+            "interventions": self.interventions,
         }
 
 
@@ -187,6 +190,7 @@ def compare(
     records: bool = True,
     seed: int = 2_000_000,
     motions: Sequence[Earthquake] = (),
+    supervised: bool = False,
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
 ) -> Comparison:
     """Run every controller on the same earthquakes.
@@ -205,6 +209,8 @@ def compare(
         First seed of the noise; far from those of training and its evaluation.
     motions
         Further earthquakes, a group of their own; the first of them is traced.
+    supervised
+        Whether a `Supervised` keeps every controller within the hard limits.
     on_progress
         Told the controller that runs and its share done, 0 to 1.
 
@@ -233,6 +239,8 @@ def compare(
     fidelities: dict[str, list[Fidelity]] = {}
     latency: dict[str, float] = {}
     traces: dict[str, Trajectory] = {}
+    if supervised:
+        controllers = {name: Supervised(c, driven[name]) for name, c in controllers.items()}
     for name, controller in controllers.items():
 
         def told(share: float, name: str = name) -> None:
@@ -261,7 +269,10 @@ def compare(
         for name, rows in episodes.items()
     ]
     name = earthquakes[traced].name
-    return Comparison(summaries, episodes, fidelities, traces, reference, name, skipped)
+    shares = {
+        each: c.interventions().share for each, c in controllers.items() if isinstance(c, Supervised)
+    }
+    return Comparison(summaries, episodes, fidelities, traces, reference, name, skipped, shares)
 
 
 def _strongest(recorded: Sequence[Earthquake]) -> int:

@@ -47,6 +47,8 @@ def print_tables(comparison: Comparison, console: Console) -> None:
         "response-spectrum ordinates more than 10 % off; Arias intensity over the target's. Current, "
         "velocity and stroke: the largest. us: median time of one decision. Ended: by a broken limit."
     )
+    for name, share in comparison.interventions.items():
+        console.print(f"The supervisor changed {100 * share:.2f} % of the commands of {_label(name)}.")
     for left_out in comparison.skipped:
         console.print(f"Left out: {left_out}.", style="yellow")
 

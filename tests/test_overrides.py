@@ -197,3 +197,20 @@ def test_validation_takes_the_linear_part_of_any_scenario():
         assert not part.nonlinearity.active and not part.uncertainty.active and part.delay == 0.0
         assert lqr(part) is not None  # shows the full state
     assert linear_part(make_scenario()) == make_scenario()
+
+
+def test_compare_reports_how_often_a_supervisor_acted(tmp_path, capsys):
+    import json
+
+    from agents.__main__ import main
+
+    arguments = ["compare", "--scenario", "laboratory", "--sensing", "full", "--delay", "2.5"]
+    arguments += ["--controllers", "lqr", "none", "--noise", "2", "--no-records", "--duration", "4"]
+    assert main([*arguments, "--json"]) == 0
+    alone = json.loads(capsys.readouterr().out)
+    assert main([*arguments, "--supervised", "--json"]) == 0
+    held = json.loads(capsys.readouterr().out)
+    ended = [[row["broken_limit"] for row in found["episodes"]["lqr"]] for found in (alone, held)]
+    assert None not in ended[0] and ended[1] == [None, None]  # LQR does not know of the delay
+    assert held["interventions"]["lqr"] > 0.1 and held["interventions"]["none"] == 0.0
+    assert alone["interventions"] == {}
