@@ -238,6 +238,7 @@ def compare(
     episodes: dict[str, list[EpisodeMetrics]] = {}
     fidelities: dict[str, list[Fidelity]] = {}
     latency: dict[str, float] = {}
+    shares: dict[str, float] = {}
     traces: dict[str, Trajectory] = {}
     if supervised:
         controllers = {name: Supervised(c, driven[name]) for name, c in controllers.items()}
@@ -250,6 +251,8 @@ def compare(
             controller, driven[name], earthquakes, record=range(len(earthquakes)), on_step=told
         )
         traces[name] = found[traced]
+        if isinstance(controller, Supervised):
+            shares[name] = controller.interventions().share
         step, stories = scenario.physics_step, scenario.specimen.stories
         fidelities[name] = [fidelity(found[i], step, stories) for i in range(len(earthquakes))]
         # What is made for each lane's own earthquake or plant has no decision for one table to time.
@@ -269,9 +272,6 @@ def compare(
         for name, rows in episodes.items()
     ]
     name = earthquakes[traced].name
-    shares = {
-        each: c.interventions().share for each, c in controllers.items() if isinstance(c, Supervised)
-    }
     return Comparison(summaries, episodes, fidelities, traces, reference, name, skipped, shares)
 
 
