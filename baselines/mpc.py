@@ -17,13 +17,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import osqp
 from numpy.typing import NDArray
 from scipy import sparse
 
 from baselines.preview_lqr import Forecast
 from baselines.tracking import TrackingProblem
-from shake_env.errors import ParameterError, ScenarioError
+from shake_env.errors import ParameterError, ScenarioError, ShakeError
 from shake_env.parameters import FloatArray, require_positive
 from shake_env.plant import REFERENCE_CURRENT, TABLE_DISPLACEMENT, TABLE_VELOCITY
 from shake_env.scenario import Scenario
@@ -184,6 +183,10 @@ class PredictiveControl:
         self._low, self._high = np.full(len(A), -np.inf), np.full(len(A), np.inf)
         self._low[-2:] = 0.0
         weight = 1.0 / (2.0 * R_u)  # the cost is R_u c'c
+        try:
+            import osqp
+        except ImportError:
+            raise ShakeError("osqp", "missing", "pip install 'shake-env[classical]'") from None
         solver = osqp.OSQP()
         solver.setup(
             sparse.csc_matrix(np.diag(np.append(np.ones(H), [2.0 * s.curvature * weight] * 2))),

@@ -113,3 +113,20 @@ def test_a_page_without_markers_is_refused(tmp_path):
     assert "| x | 1.000 [1.000, 1.000] |" in markdown(result)
     with pytest.raises(ParameterError, match="markers"):
         put_tables(page, [result])
+
+
+def test_controllers_come_without_the_extras(monkeypatch):
+    """The catalogue imports without OSQP; only MPC asks for it, and says what to install."""
+    import subprocess
+    import sys
+
+    from shake_env.errors import ShakeError
+
+    code = (
+        "import sys; sys.modules['osqp'] = None; import baselines.registry; "
+        "assert not {'numba', 'torch', 'optuna'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+    monkeypatch.setitem(sys.modules, "osqp", None)
+    with pytest.raises(ShakeError, match=r"shake-env\[classical\]"):
+        make_baseline("mpc", SHORT["yielding"], {})
