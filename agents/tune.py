@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 
 import shake_env
-from baselines.catalogue import BASELINES
+from baselines.catalogue import BASELINES, Tunable
 from baselines.registry import make_baseline
+from shake_env.controller import Controller
 from shake_env.errors import NumericalError, ParameterError, ScenarioError, ShakeError, unknown
-from shake_env.rollout import noise_earthquakes, rollout
+from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario import Scenario
 
 VALIDATION_SEED = 3_000_000  # neither training's, nor its evaluation's, nor the tests'
@@ -66,7 +67,8 @@ def tune(
     storage
         SQLite file that keeps the trace of every search; made if need be.
     budget
-        Control periods that may be simulated in all: what a policy is trained with by default.
+        Control periods that may be simulated in all, repeats included: what a policy is trained with by
+        default.
     earthquakes
         Validation earthquakes of a trial.
     seed
@@ -81,33 +83,79 @@ def tune(
     ParameterError
         If it has nothing to tune, or the budget is below one trial.
     """
-    try:
-        import optuna
-    except ImportError:
-        raise ShakeError("optuna", "missing", "pip install 'shake-env[agents]'") from None
     if name not in BASELINES:
         raise unknown(ScenarioError, "controller", name, BASELINES)
     tunable = BASELINES[name].tunable
-    repeats = BASELINES[name].repeats_tests
     if not tunable:
         raise ParameterError("controller", name, "has no free parameter: its design decides everything")
     motions = noise_earthquakes(scenario, earthquakes, VALIDATION_SEED)
     steps = round(motions[0].motion.duration / scenario.control_period) * earthquakes  # type: ignore[union-attr]
-    total = budget // steps
-    if total < 1:
-        raise ParameterError("budget", budget, f"one trial takes {steps} control periods")
-    quakes = motions if repeats else None
-    if not repeats:
+    steps *= BASELINES[name].tests
+    total = trials_of(budget, steps)
+    quakes = motions if BASELINES[name].repeats_tests else None
+    if quakes is None:
         make_baseline(name, scenario, {})  # says at once if the scenario does not suit it
 
     def cost(values: dict[str, float]) -> float:
-        try:
-            controller = make_baseline(name, scenario, values, quakes)
-            rows, _ = rollout(controller, scenario, motions)
-        except NumericalError:
-            return FAILED
-        mean = float(np.mean([row.cost for row in rows]))
-        return mean if math.isfinite(mean) else FAILED
+        return mean_cost(lambda: make_baseline(name, scenario, values, quakes), scenario, motions)
+
+    study = f"{scenario.name}/{name}/{seed}/{earthquakes}"
+    found = search(cost, tunable, storage, study, total, seed, on_trial)
+    return Tuning(
+        name, scenario.name, found.parameters, found.cost, found.default_cost,
+        found.trials, found.trials * steps, earthquakes, seed,
+    )  # fmt: skip
+
+
+def trials_of(budget: int, steps: int) -> int:
+    """Return how many trials of `steps` control periods a budget pays for.
+
+    Raises
+    ------
+    ParameterError
+        If it pays for none.
+    """
+    if budget < steps:
+        raise ParameterError("budget", budget, f"one trial takes {steps} control periods")
+    return budget // steps
+
+
+def mean_cost(
+    make: Callable[[], Controller], scenario: Scenario, earthquakes: Sequence[Earthquake]
+) -> float:
+    """Return the mean stage cost of what `make` designs; `FAILED` where there is no such design."""
+    try:
+        rows, _ = rollout(make(), scenario, earthquakes)
+    except NumericalError:
+        return FAILED
+    mean = float(np.mean([row.cost for row in rows]))
+    return mean if math.isfinite(mean) else FAILED
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a study came to."""
+
+    parameters: dict[str, float]
+    cost: float
+    default_cost: float
+    trials: int
+
+
+def search(
+    cost: Callable[[dict[str, float]], float],
+    tunable: Mapping[str, Tunable],
+    storage: Path,
+    study_name: str,
+    total: int,
+    seed: int,
+    on_trial: Callable[[int, int, float], None],
+) -> Found:
+    """Search `tunable` for the least cost in `total` trials, those of an earlier run counted."""
+    try:
+        import optuna
+    except ImportError:
+        raise ShakeError("optuna", "missing", "pip install 'shake-env[agents]'") from None
 
     def objective(trial: Any) -> float:
         return cost(
@@ -120,13 +168,10 @@ def tune(
     storage.parent.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(
-        study_name=f"{scenario.name}/{name}/{seed}/{earthquakes}",
-        storage=f"sqlite:///{storage}",
-        load_if_exists=True,
-        # A resumed search draws from a seed of its own, or it would repeat its first trials.
-        sampler=optuna.samplers.TPESampler(seed=seed, multivariate=True),
+        study_name=study_name, storage=f"sqlite:///{storage}", load_if_exists=True
     )
     done = _finished(study)
+    # A resumed search draws from a seed of its own, or it would repeat its first trials.
     study.sampler = optuna.samplers.TPESampler(seed=seed + 1000 * done, multivariate=True)
     if done == 0:
         study.enqueue_trial({each: t.default for each, t in tunable.items()})
@@ -135,10 +180,7 @@ def tune(
         done = _finished(study)
         on_trial(done, total, study.best_value)
     default = next(t.value for t in study.trials if t.value is not None)
-    return Tuning(
-        name, scenario.name, dict(study.best_params), float(study.best_value), float(default),
-        done, done * steps, earthquakes, seed,
-    )  # fmt: skip
+    return Found(dict(study.best_params), float(study.best_value), float(default), done)
 
 
 def _finished(study: Any) -> int:

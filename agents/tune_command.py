@@ -11,6 +11,11 @@ from rich.console import Console
 
 from agents.options import ScenarioOptions
 from agents.progress import progress_bar
+from baselines.catalogue import BASELINES
+from shake_env.errors import NumericalError, ParameterError, ScenarioError
+from shake_env.scenario import Scenario
+
+ALL = "all"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,11 +25,11 @@ class Tune:
     Try:
       shake tune lqg --scenario laboratory
       shake tune pid --scenario laboratory --budget 1000000
-      shake tune tvc --scenario records --keep baselines/tuned.json
+      shake tune all --scenario yielding --keep baselines/tuned.json
     """
 
     controller: tyro.conf.Positional[str]
-    """Name of the controller."""
+    """Name of the controller, or all: every one that has something to tune and suits the scenario."""
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
     budget: int = 4_000_000
     """Control periods to simulate in all; what a policy is trained with by default."""
@@ -41,18 +46,31 @@ class Tune:
 
     def run(self, console: Console) -> dict[str, Any]:
         """Search with a progress bar, and print what was found."""
+        scenario = self.scenario.build()
+        if self.controller != ALL:
+            return self._tune(self.controller, scenario, console)
+        found = {}
+        for name in BASELINES:
+            try:
+                found[name] = self._tune(name, scenario, console)
+            except (ParameterError, ScenarioError, NumericalError) as error:
+                found[name] = {"left_out": str(error)}
+                console.print(f"[dim]{name} left out: {error}[/]")
+        return found
+
+    def _tune(self, name: str, scenario: Scenario, console: Console) -> dict[str, Any]:
         from agents.tune import keep, tune
 
         with progress_bar() as progress:
-            task = progress.add_task(f"tuning {self.controller}", total=None)
+            task = progress.add_task(f"tuning {name}", total=None)
 
             def on_trial(done: int, total: int, best: float) -> None:
-                description = f"tuning {self.controller}, best cost {best:.4g}"
+                description = f"tuning {name}, best cost {best:.4g}"
                 progress.update(task, completed=done, total=total, description=description)
 
             found = tune(
-                self.controller,
-                self.scenario.build(),
+                name,
+                scenario,
                 self.storage,
                 budget=self.budget,
                 earthquakes=self.earthquakes,
@@ -63,8 +81,8 @@ class Tune:
             f"{found.controller} on {found.scenario}: cost {found.cost:.4g} after {found.trials} "
             f"trials, {found.default_cost:.4g} by default"
         )
-        for name, value in found.parameters.items():
-            console.print(f"  {name} = {value:.6g}")
+        for parameter, value in found.parameters.items():
+            console.print(f"  {parameter} = {value:.6g}")
         if self.keep is not None:
             keep(found, self.keep)
             console.print(f"wrote {self.keep}")

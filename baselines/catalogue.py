@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from baselines.adaptive import certainty_equivalence
 from baselines.estimator_model import ModelError
@@ -17,13 +18,13 @@ from baselines.ilc import norm_optimal_learning
 from baselines.inverse import InverseDesign, InverseFeedForward
 from baselines.iteration import IterationPlan, transfer_function_iteration
 from baselines.lqg import estimated
-from baselines.lqr import LinearFeedback, lqr
+from baselines.lqr import lqr
 from baselines.lqr_integral import DisplacementWeights, IntegralFeedback, lqr_integral
 from baselines.mcs import MCS, MCSDesign
 from baselines.mpc import MPCSettings, PredictiveControl
 from baselines.multi_model import drawn_models, multi_model_lqr
 from baselines.pid import PIDRule, pid
-from baselines.preview_lqr import PreviewFeedback
+from baselines.preview_lqr import PreviewFeedback, with_preview
 from baselines.robust import robust_feedback
 from baselines.tvc import TVCDesign, tvc
 from shake_env.controller import Controller, NoControl
@@ -60,7 +61,12 @@ class Baseline:
     make: Callable[..., Controller]  # of a scenario, and its tunable parameters by keyword
     summary: str
     tunable: Mapping[str, Tunable] = field(default_factory=dict)
-    repeats_tests: bool = False  # whether `make` also takes the earthquakes, and repeats them beforehand
+    tests: int = 1  # of each earthquake that using it takes, the one that counts included
+
+    @property
+    def repeats_tests(self) -> bool:
+        """Whether `make` also takes the earthquakes, and repeats their tests beforehand."""
+        return self.tests > 1
 
 
 def _seen(
@@ -86,23 +92,16 @@ def _place(scenario: Scenario, position: float) -> float | None:
     return None if scenario.ground.highpass_frequency is None else position
 
 
-def _lqg(scenario: Scenario, *, position: float, doubt: float) -> Controller:
-    def make(full: Scenario) -> Controller:
-        return PreviewFeedback(full, position=_place(full, position))
-
-    error = ModelError.of(scenario)
-    error = replace(error, force=doubt * error.force, flow=doubt * error.flow)
-    return estimated(scenario, make, error)
-
-
-def _lqg_accommodating(scenario: Scenario, *, position: float, doubt: float) -> Controller:
-    error = ModelError.of(scenario)
-    error = replace(error, force=doubt * error.force, flow=doubt * error.flow)
-    return estimated(
+def _lqg(scenario: Scenario, *, position: float, doubt: float, accommodate: bool = False) -> Controller:
+    if scenario.sensing.full_state and not scenario.delay:
+        raise ScenarioError(
+            "sensing", "full state, no delay", "nothing to estimate: ask for preview-lqr"
+        )
+    return _seen(
         scenario,
         lambda full: PreviewFeedback(full, position=_place(full, position)),
-        error,
-        accommodate=True,
+        doubt,
+        accommodate=accommodate,
     )
 
 
@@ -134,24 +133,27 @@ def _mpc(scenario: Scenario, *, position: float, doubt: float) -> Controller:
     def make(full: Scenario) -> Controller:
         return PredictiveControl(full, MPCSettings(position=_place(full, position)))
 
-    return _seen(scenario, make, doubt)
+    return _seen(scenario, make, doubt, accommodate=True)
 
 
-def _multi_model(scenario: Scenario) -> Controller:
+def _multi_model(scenario: Scenario, *, position: float, doubt: float) -> Controller:
     if not scenario.uncertainty.active:
         raise ScenarioError("uncertainty", "none", "one model is known: ask for lqr")
 
     def make(full: Scenario) -> Controller:
-        design = multi_model_lqr(full, drawn_models(full, MODELS))
-        return LinearFeedback(full, design.gain)
+        place = _place(full, position)
+        design = multi_model_lqr(full, drawn_models(full, MODELS), position=place)
+        return with_preview(full, design.gain, place)
 
-    return _seen(scenario, make)
+    return _seen(scenario, make, doubt, accommodate=True)
 
 
-def _robust(scenario: Scenario, *, mass_uncertainty: float) -> Controller:
-    return _seen(
-        scenario, lambda full: LinearFeedback(full, robust_feedback(full, mass_uncertainty).gain)
-    )
+def _robust(scenario: Scenario, *, mass_uncertainty: float, position: float, doubt: float) -> Controller:
+    def make(full: Scenario) -> Controller:
+        place = _place(full, position)
+        return with_preview(full, robust_feedback(full, mass_uncertainty, place).gain, place)
+
+    return _seen(scenario, make, doubt, accommodate=True)
 
 
 def _pid(scenario: Scenario, *, bandwidth: float) -> Controller:
@@ -224,7 +226,7 @@ BASELINES: dict[str, Baseline] = {
         _lqg, "preview LQR behind a Kalman filter", {"position": _POSITION, "doubt": _DOUBT}
     ),
     "lqg-accommodating": Baseline(
-        _lqg_accommodating,
+        partial(_lqg, accommodate=True),
         "lqg that makes up for the disturbance it estimates",
         {"position": _POSITION, "doubt": _DOUBT},
     ),
@@ -238,11 +240,15 @@ BASELINES: dict[str, Baseline] = {
         "predictive control within current, velocity and stroke",
         {"position": _POSITION, "doubt": _DOUBT},
     ),
-    "multi-model": Baseline(_multi_model, "LQR of least mean cost over a set of specimens"),
+    "multi-model": Baseline(
+        _multi_model,
+        "preview LQR of least mean cost over a set of specimens",
+        {"position": _POSITION, "doubt": _DOUBT},
+    ),
     "robust": Baseline(
         _robust,
         "H-infinity feedback with a guaranteed cost for an uncertain mass",
-        {"mass_uncertainty": Tunable(0.02, 0.9, 0.1)},
+        {"mass_uncertainty": Tunable(0.02, 0.9, 0.1), "position": _POSITION, "doubt": _DOUBT},
     ),
     "adaptive": Baseline(
         certainty_equivalence,
@@ -284,12 +290,12 @@ BASELINES: dict[str, Baseline] = {
         _iteration,
         "offline iteration of the drive file, after six repeats of the same test",
         {"gain": Tunable(0.1, 1.5, 0.7)},
-        repeats_tests=True,
+        tests=10,  # a still table, a response over two lengths, six repeats and the test
     ),
     "learning": Baseline(
         _learning,
         "norm-optimal iterative learning, after six repeats of the same test",
         {"step_weight": Tunable(1e-4, 1.0, 0.01)},
-        repeats_tests=True,
+        tests=8,  # a still table, six repeats and the test
     ),
 }

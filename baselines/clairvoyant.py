@@ -104,8 +104,8 @@ class _Rows:
         return action[..., None].astype(np.float32), None
 
 
-class _Rescaled:
-    """A controller of one lane that reads observations over another plant's scale."""
+class Rescaled:
+    """A controller that reads observations over another plant's scale, by a `rescaling` (n,)."""
 
     def __init__(self, controller: Controller, factor: NDArray[np.float64]) -> None:
         self._controller, self._factor = controller, factor
@@ -117,12 +117,13 @@ class _Rescaled:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
+        """Return the inner controller's action (..., 1) for an observation (..., n), and its memory."""
         scaled = (observation * self._factor).astype(np.float32)
         return self._controller.predict(scaled, state, episode_start, deterministic)
 
 
-def _rescaled(seen: Scenario, plant: Scenario) -> NDArray[np.float64]:
-    """Return what turns the nominal plant's observation (n,) into that of a drawn one."""
+def rescaling(seen: Scenario, plant: Scenario) -> NDArray[np.float64]:
+    """Return what turns a full-state observation (n,) of `seen` into one of `plant`'s, by product."""
     factor = np.ones(seen.observation.size)
     scale = seen.plant.state_scale
     factor[: len(scale)] = scale / plant.plant.state_scale
@@ -146,8 +147,8 @@ def clairvoyant(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[
         if not seen.uncertainty.active:
             return seen, FeedforwardLQR(seen, position=FRICTION_POSITION)
         laws = [FeedforwardLQR(plant, position=FRICTION_POSITION) for plant in plants]
-        scales = np.stack([_rescaled(seen, plant) for plant in plants])
-        return seen, PerLane([_Rescaled(law, row) for law, row in zip(laws, scales, strict=True)])
+        scales = np.stack([rescaling(seen, plant) for plant in plants])
+        return seen, PerLane([Rescaled(law, row) for law, row in zip(laws, scales, strict=True)])
     rows: dict[Any, NDArray[np.float64]] = {}
     for plant in plants:
         key = (plant.actuator, plant.specimen)
@@ -156,5 +157,5 @@ def clairvoyant(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[
             if plant.limits.table_displacement is not None and plant.ground.states == 4:
                 position = FRICTION_POSITION if plant.nonlinearity.active else POSITION
             design = preview_lqr(plant.discrete, plant.stage_cost, PREVIEW, position=position)
-            rows[key] = PreviewFeedback(plant, design).row * _rescaled(seen, plant)
+            rows[key] = PreviewFeedback(plant, design).row * rescaling(seen, plant)
     return seen, _Rows(np.stack([rows[plant.actuator, plant.specimen] for plant in plants]))

@@ -135,7 +135,7 @@ class EstimatorModel:
         return int(self.B.shape[1]) - 1
 
     @classmethod
-    def of(cls, scenario: Scenario, error: ModelError, *, accommodate: bool = False) -> EstimatorModel:
+    def of(cls, scenario: Scenario, error: ModelError, *, accommodate: float = 0.0) -> EstimatorModel:
         """Build the model of a scenario; one that shows the full state measures every state of it.
 
         Parameters
@@ -145,7 +145,7 @@ class EstimatorModel:
         error
             What the nominal plant leaves out.
         accommodate
-            Whether `ahead` takes the disturbances out of the state.
+            Share of the disturbances that `ahead` takes out of the state: 0 none, 1 all.
 
         Raises
         ------
@@ -173,8 +173,7 @@ class EstimatorModel:
         wander[x + f :, x + f :] = (1.0 - keep**2) * start[x + f :, x + f :]
         controlled = x - DISTURBANCES
         relieved = ahead[:controlled].copy()
-        if accommodate:
-            relieved[[LOAD_PRESSURE, SPOOL_POSITION]] += ahead[controlled:]
+        relieved[[LOAD_PRESSURE, SPOOL_POSITION]] += accommodate * ahead[controlled:]
         reach = np.insert(relieved, [x] * (f + b), 0.0, axis=1)
         return cls(
             A=full,

@@ -39,6 +39,7 @@ from shake_env.scenario import Scenario
 
 ComplexArray = NDArray[np.complex128]
 
+HALVINGS = 5  # of the identification's drive before it is given up
 SETTLING = 5.0  # [s] of silence after the motion in which the correction's filter may ring out
 
 
@@ -143,7 +144,7 @@ def measured_response(
     Raises
     ------
     ParameterError
-        If a limit stopped the test.
+        If a limit stopped the test at a thirty-second of its level, too.
     """
     omega, inside = lines.omega[lines.inside], lines.inside
     spectrum = np.zeros((len(earthquakes), len(inside)), dtype=complex)
@@ -163,9 +164,15 @@ def measured_response(
     duration = played.shape[-1] * scenario.control_period
     quiet = [replace(q, motion=FilteredNoise(duration=duration)) for q in earthquakes]
     hold = DisplacementHold(scenario, plan.hold_frequency)
-    test = run_test(scenario, quiet, DriveFile(played, hold))
-    if test.stopped.any():
-        raise ParameterError("level", plan.level, "a limit stopped the identification: lower it")
+    # As at a table: where a limit stops the test, the drive is halved and the test run again.
+    for _ in range(HALVINGS + 1):
+        test = run_test(scenario, quiet, DriveFile(played, hold))
+        if not test.stopped.any():
+            break
+        lower = np.where(test.stopped, 0.5, 1.0)[:, None]
+        played, spectrum = played * lower, spectrum * lower
+    else:
+        raise ParameterError("level", plan.level, "limits stopped the identification: lower it")
     achieved = np.fft.rfft(np.mean(test.acceleration, axis=-1)[:, lines.length :], lines.length)
     response = np.zeros_like(spectrum)
     response[:, inside] = achieved[:, inside] / spectrum[:, inside]

@@ -158,7 +158,7 @@ def estimated(
     make: Callable[[Scenario], Controller],
     error: ModelError | None = None,
     *,
-    accommodate: bool = False,
+    accommodate: float = 0.0,
 ) -> EstimatedState:
     """Return the controller that `make` designs on the full state, fed by an estimator.
 
@@ -171,8 +171,9 @@ def estimated(
     error
         What the filter believes of the model; None: `ModelError.of` the scenario.
     accommodate
-        Whether the law is shown the table without its estimated disturbances. Against friction this
-        helps a law that holds the table's place, and takes from one that does not what kept it there.
+        Share of the estimated disturbances that is taken out of what the law is shown: 0 none, 1 all.
+        Against friction this helps a law that holds the table's place, and takes from one that does
+        not what kept it there.
     """
     chosen = ModelError.of(scenario) if error is None else error
     estimator = KalmanFilter.of(EstimatorModel.of(scenario, chosen, accommodate=accommodate))

@@ -24,6 +24,8 @@ from shake_env.scenario import Scenario
 
 IntArray = NDArray[np.intp]
 
+GROUND_DISPLACEMENT = 2  # place in the state of a ground filter with the high-pass
+
 _NO_SOLUTION = (
     "has no stabilising solution that arithmetic can find: damp every storey, and where the table has a "
     "stiffness give the valve a leakage"
@@ -176,6 +178,24 @@ class ScaledProblem:
         R = np.einsum("o,koi,koj->ij", weights, self.Z_u, self.Z_u)
         return Q, R + cost.current * REFERENCE_CURRENT**2, S
 
+    def place(self, plant: CoupledPlant, position: float) -> FloatArray:
+        """Return the row (m,) of the table's error of place in units of `position` [m].
+
+        The problem must keep the whole state.
+
+        Raises
+        ------
+        ScenarioError
+            If the ground filter has no high-pass: its displacement then has no bound.
+        """
+        if plant.layout.filter_states != 4:
+            raise ScenarioError(
+                "highpass_frequency", plant.ground.highpass_frequency, "a weighed position needs one"
+            )
+        row = np.zeros(len(self.scale))
+        row[plant.layout.table_displacement], row[GROUND_DISPLACEMENT] = 1.0, -1.0
+        return row * self.scale / position
+
     def unreached(self, cost: StageCost) -> float:
         """Return the part of the stage cost that the noise within a period makes, whatever the law."""
         acceleration, force = np.sum(self.Z_d**2, axis=(0, 2)) / len(self.Z_d)
@@ -237,7 +257,7 @@ def stationary_performance(
     Parameters
     ----------
     gain
-        (n,) [A per SI unit of each state], zero on the position where that is unobservable.
+        (n,) [A per SI unit of each state]. An unobservable position is left out if its gain is zero.
 
     Raises
     ------
@@ -248,7 +268,9 @@ def stationary_performance(
         raise ParameterError("gain shape", gain.shape, f"must be ({discrete.layout.order},)")
     if not np.isfinite(gain).all():
         raise ParameterError("gain", gain, "must be finite")
-    p, plant = ScaledProblem.of(discrete), discrete.plant
+    plant = discrete.plant
+    held = bool(gain[plant.layout.table_displacement])
+    p = ScaledProblem.of(discrete, np.arange(plant.layout.order) if held else None)
     K = (gain[p.kept] * p.scale / REFERENCE_CURRENT)[None, :]
     closed = p.F - p.G @ K
     radius = float(np.max(np.abs(np.linalg.eigvals(closed))))

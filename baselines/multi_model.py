@@ -18,7 +18,8 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import minimize
 
-from baselines.lqr import ScaledProblem, sampled_lqr
+from baselines.lqr import ScaledProblem, observable_states
+from baselines.preview_lqr import preview_lqr
 from baselines.tracking import stein_sum
 from shake_env.errors import NumericalError, ParameterError
 from shake_env.parameters import FloatArray
@@ -64,8 +65,10 @@ class ModelSet:
     constant: FloatArray  # (models,) cost that no gain changes
 
     @classmethod
-    def of(cls, nominal: Scenario, models: Sequence[Scenario]) -> ModelSet:
-        """Stack `models`, which share the nominal's states.
+    def of(
+        cls, nominal: Scenario, models: Sequence[Scenario], position: float | None = None
+    ) -> ModelSet:
+        """Stack `models`, which share the nominal's states; `position` as for `multi_model_lqr`.
 
         Raises
         ------
@@ -80,9 +83,15 @@ class ModelSet:
         for model in models:
             if (model.plant.layout, model.control_period) != (layout, period):
                 raise ParameterError("model", model, "must have the nominal's states and period")
-            p = ScaledProblem.of(model.discrete)
+            p = ScaledProblem.of(model.discrete, None if position is None else np.arange(layout.order))
             ratio = p.scale / nominal.plant.state_scale[p.kept]  # own to nominal units
             Q, R, S = p.stage(model.stage_cost)
+            fixed = p.unreached(model.stage_cost)
+            if position is not None:
+                place = p.place(model.plant, position)
+                on_x, on_u = place @ p.F, place @ p.G
+                Q, R, S = Q + np.outer(on_x, on_x), R + on_u**2, S + np.outer(on_x, on_u)
+                fixed += float(np.sum((place @ p.N) ** 2))
             N = p.N * ratio[:, None]
             parts["F"].append(p.F * ratio[:, None] / ratio)
             parts["G"].append(p.G * ratio[:, None])
@@ -90,7 +99,7 @@ class ModelSet:
             parts["Q"].append(Q / np.outer(ratio, ratio))
             parts["R"].append(R)
             parts["S"].append(S / ratio[:, None])
-            constant.append(p.unreached(model.stage_cost))
+            constant.append(fixed)
         stacked = {name: np.stack(values) for name, values in parts.items()}
         return cls(**stacked, constant=np.array(constant))
 
@@ -116,7 +125,7 @@ class ModelSet:
 
 
 def multi_model_lqr(
-    nominal: Scenario, models: Sequence[Scenario], aim: Aim = "mean"
+    nominal: Scenario, models: Sequence[Scenario], aim: Aim = "mean", position: float | None = None
 ) -> MultiModelDesign:
     """Design one gain for a set of models.
 
@@ -128,20 +137,25 @@ def multi_model_lqr(
         Specimens (or whole plants) of the same states; each is judged by its own stage cost.
     aim
         ``"mean"`` or ``"worst"`` of the models' costs.
+    position
+        [m] error of the table's place that is worth a motionless table's stage cost, here part of the
+        costs; None: no error of place is worth anything.
 
     Raises
     ------
     ParameterError
         If the set does not fit the nominal scenario, or the aim is unknown.
+    ScenarioError
+        If the position is weighed and the ground filter has no high-pass.
     NumericalError
         If no gain that stabilises the whole set was found.
     """
     if aim not in ("mean", "worst"):
         raise ParameterError("aim", aim, "must be 'mean' or 'worst'")
-    problem = ModelSet.of(nominal, models)
-    kept = ScaledProblem.of(nominal.discrete).kept
+    problem = ModelSet.of(nominal, models, position)
+    kept = np.arange(nominal.plant.layout.order) if position else observable_states(nominal.plant)
     scale = nominal.plant.state_scale[kept]
-    start = sampled_lqr(nominal.discrete, nominal.stage_cost).gain[kept]
+    start = preview_lqr(nominal.discrete, nominal.stage_cost, 0.0, position=position).gain[kept]
     K = (start * scale / REFERENCE_CURRENT)[None, :]
     stable = problem.radii(K) < 1.0
     before = np.full(len(models), np.inf)

@@ -10,7 +10,7 @@ cost, noise and samples are those of the continuous plant.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -232,6 +232,27 @@ def _energies(errors: FloatArray, current: FloatArray, spread: FloatArray) -> Fl
     return np.append(
         np.einsum("koi,ij,koj->o", errors, spread, errors), current[0] @ spread @ current[0]
     )
+
+
+def with_preview(scenario: Scenario, gain: FloatArray, position: float | None = None) -> PreviewFeedback:
+    """Return ``u = -gain @ x`` with what the previewed samples add to the nominal LQR's command.
+
+    A gain that was designed without preview takes the target's future for its expectation; what the
+    samples say beyond that enters as in `preview_lqr`, whose own feedback it comes to.
+
+    Parameters
+    ----------
+    scenario
+        Whose observation is read.
+    gain
+        (n,) [A per SI unit of each state].
+    position
+        [m] as the gain's design weighs it.
+    """
+    discrete, cost, sensing = scenario.discrete, scenario.stage_cost, scenario.sensing
+    blind = preview_lqr(discrete, cost, 0.0, position=position)
+    seeing = preview_lqr(discrete, cost, sensing.preview, sensing.preview_spacing, position)
+    return PreviewFeedback(scenario, replace(seeing, gain=gain + seeing.gain - blind.gain))
 
 
 class PreviewFeedback:

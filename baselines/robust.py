@@ -64,10 +64,10 @@ class GeneralizedPlant:
     D: tuple[tuple[FloatArray, FloatArray, FloatArray], ...]  # both rows of outputs on w, d, u
 
     @classmethod
-    def of(cls, scenario: Scenario) -> GeneralizedPlant:
-        """Add the uncertain force to the lifted problem of a scenario."""
+    def of(cls, scenario: Scenario, position: float | None = None) -> GeneralizedPlant:
+        """Add the uncertain force to the lifted problem of a scenario; see `robust_feedback`."""
         discrete, cost = scenario.discrete, scenario.stage_cost
-        p, plant, k = ScaledProblem.of(discrete), discrete.plant, discrete.substeps
+        p, plant, k = _problem(scenario, position), discrete.plant, discrete.substeps
         layout, unit = plant.layout, float(np.sqrt(plant.reference_shear_variance))
         table = controlled_plant(plant, Nonlinearity())
         columns = [0, 1 + FORCE]
@@ -100,15 +100,14 @@ class GeneralizedPlant:
             return np.vstack([weighed, np.full((1, weighed.shape[1]), last)])
 
         on_w = np.stack([acceleration, after], axis=1) * unit
-        return cls(
-            A=p.F,
-            B=(B_w[p.kept] / p.scale[:, None], p.N, p.G),
-            C=(z_x / unit, errors(p.Z_x)),
-            D=(
-                (shear, z_d / unit, z_u / unit),
-                (errors(on_w), errors(p.Z_d), errors(p.Z_u, effort)),
-            ),
-        )
+        B = (B_w[p.kept] / p.scale[:, None], p.N, p.G)
+        on_x, on_inputs = errors(p.Z_x), (errors(on_w), errors(p.Z_d), errors(p.Z_u, effort))
+        if position is not None:
+            place = p.place(plant, position)
+            on_x = np.vstack([on_x, place @ p.F])
+            on_w, on_d, on_u = (np.vstack([on, place @ b]) for on, b in zip(on_inputs, B, strict=True))
+            on_inputs = (on_w, on_d, on_u)
+        return cls(A=p.F, B=B, C=(z_x / unit, on_x), D=((shear, z_d / unit, z_u / unit), on_inputs))
 
     def law(self, rho: float, d: float) -> tuple[FloatArray, float] | None:
         """Return the gain (1, m) against the worst w and its guaranteed cost, or None if there is none.
@@ -146,7 +145,15 @@ class GeneralizedPlant:
         return float(control.linfnorm(loop)[0])
 
 
-def robust_feedback(scenario: Scenario, mass_uncertainty: float) -> RobustDesign:
+def _problem(scenario: Scenario, position: float | None) -> ScaledProblem:
+    """Return the lifted problem, of the whole state where the table's position is weighed."""
+    kept = None if position is None else np.arange(scenario.plant.layout.order)
+    return ScaledProblem.of(scenario.discrete, kept)
+
+
+def robust_feedback(
+    scenario: Scenario, mass_uncertainty: float, position: float | None = None
+) -> RobustDesign:
     """Design the law of least guaranteed cost for masses within ``1 +- mass_uncertainty``.
 
     Parameters
@@ -155,20 +162,24 @@ def robust_feedback(scenario: Scenario, mass_uncertainty: float) -> RobustDesign
         Its specimen is the nominal one.
     mass_uncertainty
         rho, above 0 and below 1.
+    position
+        [m] error of the table's place that is worth a motionless table's stage cost; the guaranteed
+        cost then contains it. None: no error of place is worth anything, and the table drifts.
 
     Raises
     ------
     ParameterError
         If rho is outside its range.
     ScenarioError
-        If the equations are not the corrected ones.
+        If the equations are not the corrected ones, or the position is weighed and the ground filter has
+        no high-pass.
     NumericalError
         If no law was found, or its measured gain is not below one.
     """
     rho = mass_uncertainty
     if not 0.0 < rho < 1.0:
         raise ParameterError("mass_uncertainty", rho, "must lie between 0 and 1")
-    plant = GeneralizedPlant.of(scenario)
+    plant = GeneralizedPlant.of(scenario, position)
 
     def bound(log_d: float) -> float:
         found = plant.law(rho, float(np.exp(log_d)))
@@ -186,7 +197,7 @@ def robust_feedback(scenario: Scenario, mass_uncertainty: float) -> RobustDesign
     gamma = plant.force_gain(K, rho)
     if not gamma < 1.0:
         raise NumericalError("H-infinity norm", gamma, "the measured gain is not below one")
-    p = ScaledProblem.of(scenario.discrete)
+    p = _problem(scenario, position)
     row = np.zeros(scenario.plant.layout.order)
     row[p.kept] = K[0] * REFERENCE_CURRENT / p.scale
     performance = stationary_performance(scenario.discrete, scenario.stage_cost, row)

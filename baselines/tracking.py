@@ -23,9 +23,8 @@ from shake_env.discretization import DiscretePlant
 from shake_env.errors import NumericalError, ScenarioError
 from shake_env.objective import StageCost
 from shake_env.parameters import FloatArray
-from shake_env.plant import REFERENCE_CURRENT, TABLE_DISPLACEMENT
+from shake_env.plant import REFERENCE_CURRENT
 
-GROUND_DISPLACEMENT = 2  # place in the state of a ground filter with the high-pass
 DOUBLINGS = 64  # of a Stein sum: more than any stable pole of float64 needs
 
 
@@ -82,10 +81,6 @@ class TrackingProblem:
         plant, layout = discrete.plant, discrete.layout
         if plant.equations.specimen_feels_target:
             raise ScenarioError("equations", plant.equations, "preview needs the corrected equations")
-        if position is not None and layout.filter_states != 4:
-            raise ScenarioError(
-                "highpass_frequency", plant.ground.highpass_frequency, "a weighed position needs one"
-            )
         p = ScaledProblem.of(discrete, None if position is None else np.arange(layout.order))
         inside = (p.kept >= layout.controlled.start) & (p.kept < layout.controlled.stop)
         c, e = np.flatnonzero(inside), np.flatnonzero(~inside)
@@ -97,11 +92,10 @@ class TrackingProblem:
         Z_x, Z_u, C, D = p.Z_x[:, :, c], p.Z_u, -p.Z_x[:, :, e], -p.Z_d
         z_x, z_u, r_e, r_d = (weighed(cost, part) for part in (Z_x, Z_u, C, D))
         if position is not None:
-            x_a, x_g = TABLE_DISPLACEMENT, GROUND_DISPLACEMENT  # places in x_c and in x_e
-            on_table = p.scale[layout.table_displacement] / position
-            on_ground = p.scale[GROUND_DISPLACEMENT] / position
-            z_x, z_u = np.vstack([z_x, on_table * F[x_a]]), np.vstack([z_u, on_table * G[x_a]])
-            r_e, r_d = np.vstack([r_e, on_ground * A[x_g]]), np.vstack([r_d, on_ground * N[x_g]])
+            place = p.place(plant, position)
+            on_table, on_ground = place[c], -place[e]
+            z_x, z_u = np.vstack([z_x, on_table @ F]), np.vstack([z_u, on_table @ G])
+            r_e, r_d = np.vstack([r_e, on_ground @ A]), np.vstack([r_d, on_ground @ N])
         stage = z_u.T @ z_u + cost.current * REFERENCE_CURRENT**2
         P, K = riccati(F, G, z_x.T @ z_x, stage, z_x.T @ z_u)
         R_u = float((stage + G.T @ P @ G)[0, 0])

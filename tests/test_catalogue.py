@@ -30,6 +30,11 @@ REFUSED = {
     ("yielding", "feedforward"): "nothing to feed forward",
     ("linear", "mpc"): "without limits",
     **{
+        (scenario, name): "nothing to estimate"
+        for scenario in ("linear", "yielding")
+        for name in ("lqg", "lqg-accommodating")
+    },
+    **{
         (scenario, name): "uncertainty"
         for scenario in ("linear", "laboratory", "yielding")
         for name in ("multi-model", "adaptive")

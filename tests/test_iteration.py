@@ -222,3 +222,15 @@ def test_wrong_plans_and_drives_are_refused():
     brief = replace(scenario, motion=FilteredNoise(duration=0.5))
     still = run_test(brief, noise_earthquakes(brief, 1), NoControl())
     assert not still.acceleration.any()
+
+
+def test_an_identification_that_meets_a_limit_is_run_again_at_half_the_drive(linear):
+    quakes, plan = noise_earthquakes(linear, 2), IterationPlan()
+    lines = Lines.of(linear, plan, 800)
+    free, calm = measured_response(linear, quakes, plan, lines)
+    peak = np.max(np.abs(calm.acceleration), axis=(1, 2))
+    bound = Limits(table_acceleration=float(0.7 * peak.max()))
+    found, test = measured_response(replace(linear, limits=bound), quakes, plan, lines)
+    louder = np.max(np.abs(test.acceleration), axis=(1, 2)) / peak
+    assert not test.stopped.any() and louder[np.argmax(peak)] == pytest.approx(0.5, rel=1e-3)
+    assert found[:, lines.inside] == pytest.approx(free[:, lines.inside], rel=1e-2)  # linear: the same

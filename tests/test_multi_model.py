@@ -8,8 +8,9 @@ import pytest
 from baselines import multi_model
 from baselines.lqr import LinearFeedback, ScaledProblem, sampled_lqr, stationary_performance
 from baselines.multi_model import ModelSet, drawn_models, multi_model_lqr
+from baselines.preview_lqr import preview_lqr
 from shake_env import make_scenario
-from shake_env.errors import NumericalError, ParameterError
+from shake_env.errors import NumericalError, ParameterError, ScenarioError
 from shake_env.plant import REFERENCE_CURRENT
 from shake_env.rollout import noise_earthquakes, rollout
 from shake_env.uncertainty import Uncertainty, Uniform
@@ -144,3 +145,20 @@ def test_a_search_that_ends_unstable_is_no_design(monkeypatch):
     models = drawn_models(uncertain(DOUBTFUL), 16, seed=1)
     with pytest.raises(NumericalError, match="no gain found for the whole set"):
         multi_model_lqr(NOMINAL, models)
+
+
+def test_of_one_model_with_a_weighed_position_it_is_the_preview_law_without_preview():
+    model = make_scenario("linear", {"mass_ratio": 0.2, "highpass_frequency": 0.5})
+    nominal = make_scenario("linear", {"mass_ratio": 0.8, "highpass_frequency": 0.5})
+    known = preview_lqr(model.discrete, model.stage_cost, 0.0, position=0.03).gain
+    design = multi_model_lqr(nominal, [model], position=0.03)
+    # The minimum is flat: a relative gradient of 1e-7 leaves the gain its square root times curvature.
+    scale = model.plant.state_scale
+    assert np.max(np.abs(design.gain - known) * scale) < 1e-3 * np.max(np.abs(known * scale))
+    errors = (exact([model], gain) for gain in (design.gain, known))
+    assert next(errors) == pytest.approx(next(errors), rel=1e-4)
+
+
+def test_a_weighed_position_needs_a_ground_that_stays():
+    with pytest.raises(ScenarioError, match="highpass_frequency"):
+        multi_model_lqr(NOMINAL, [NOMINAL], position=0.03)

@@ -70,6 +70,23 @@ def test_command_prints_one_json_object(bench, tmp_path, capsys):
     assert found["trials"] == 2 and found["controller"] == "scaled"
 
 
+def test_a_repeated_test_is_paid_for(tmp_path):
+    # 100 periods, ten tests.
+    found = tune("iteration", SHORT, tmp_path / "t.db", budget=3_000, earthquakes=1)
+    assert found.trials == 3 and found.table_steps == 3_000
+
+
+def test_all_tunes_whatever_has_something_to_tune(bench, tmp_path, monkeypatch, capsys):
+    for name in set(BASELINES) - {"scaled", "lqr", "mpc"}:
+        monkeypatch.delitem(BASELINES, name)
+    arguments = ["tune", "all", "--duration", "0.5", "--budget", "1600", "--earthquakes", "8"]
+    assert main([*arguments, "--storage", str(tmp_path / "t.db"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["scaled"]["trials"] == 2
+    assert "no free parameter" in found["lqr"]["left_out"]
+    assert "without limits" in found["mpc"]["left_out"]
+
+
 @pytest.mark.parametrize(
     ("name", "budget", "error"),
     [("absent", 10_000, ScenarioError), ("lqr", 10_000, ParameterError), ("scaled", 10, ParameterError)],

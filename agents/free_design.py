@@ -1,0 +1,82 @@
+"""A linear design with everything left free: what an independent search tries against the catalogue.
+
+Controllers of the catalogue keep the scenario's own objective and nominal model, and leave one to three
+values free. Here the law's objective, the specimen that it is designed for, what its filter believes of
+the model's errors, how much of the estimated disturbance is made up for, and the loop delay are free at
+once. What a scenario does not have (a filter, where all is seen) has no parameter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from baselines.catalogue import Tunable
+from baselines.clairvoyant import Rescaled, rescaling
+from baselines.estimator_model import ModelError
+from baselines.lqg import estimated
+from baselines.preview_lqr import PreviewFeedback, preview_lqr
+from shake_env.controller import Controller
+from shake_env.parameters import Specimen
+from shake_env.scenario import Scenario
+
+LAW = {
+    "acceleration": Tunable(0.1, 10.0, 1.0),  # weight of the acceleration error, times the objective's
+    "effort": Tunable(0.03, 30.0, 1.0),  # weight of the current, likewise
+    "mass": Tunable(0.5, 2.0, 1.0),  # of the specimen that the law is designed for, times the nominal
+    "frequency": Tunable(0.6, 1.4, 1.0),  # likewise
+    "damping": Tunable(0.3, 10.0, 1.0),  # likewise
+}
+PLACE = {"position": Tunable(0.001, 0.3, 0.03)}  # [m]
+FILTER = {
+    "force": Tunable(0.03, 30.0, 1.0),  # believed error of the model, times the nominal belief
+    "flow": Tunable(0.03, 30.0, 1.0),
+    "time": Tunable(0.1, 10.0, 1.0),  # correlation time of both, likewise
+    "accommodation": Tunable(0.0, 1.3, 1.0, logarithmic=False),
+    "lateness": Tunable(-1.0, 1.0, 0.0, logarithmic=False),  # [physics steps] on the delay
+}
+
+
+def free_parameters(scenario: Scenario) -> dict[str, Tunable]:
+    """Return what the design leaves free on a scenario."""
+    place = {} if scenario.ground.highpass_frequency is None else PLACE
+    seen = scenario.sensing.full_state and not scenario.delay
+    return LAW | place | ({} if seen else FILTER)
+
+
+def free_design(scenario: Scenario, values: Mapping[str, float]) -> Controller:
+    """Return the controller of `free_parameters` values."""
+
+    def make(full: Scenario) -> Controller:
+        mass, frequency = values["mass"], values["frequency"]
+        specimen = full.specimen
+        other = Specimen(
+            masses=tuple(mass * m for m in specimen.masses),
+            stiffnesses=tuple(mass * frequency**2 * k for k in specimen.stiffnesses),
+            dampings=tuple(mass * frequency * values["damping"] * c for c in specimen.dampings),
+        )
+        imagined = replace(full, specimen=other)
+        cost = imagined.stage_cost
+        cost = replace(
+            cost,
+            acceleration=values["acceleration"] * cost.acceleration,
+            current=values["effort"] * cost.current,
+        )
+        sensing = full.sensing
+        design = preview_lqr(
+            imagined.discrete, cost, sensing.preview, sensing.preview_spacing, values.get("position")
+        )
+        return Rescaled(PreviewFeedback(imagined, design), rescaling(full, imagined))
+
+    if "accommodation" not in values:
+        return make(scenario)
+    error = ModelError.of(scenario)
+    error = replace(
+        error,
+        force=values["force"] * error.force,
+        flow=values["flow"] * error.flow,
+        force_time=values["time"] * error.force_time,
+        flow_time=values["time"] * error.flow_time,
+    )
+    believed = replace(scenario, delay=max(scenario.delay + values["lateness"], 0.0))
+    return estimated(believed, make, error, accommodate=values["accommodation"])
