@@ -15,10 +15,11 @@ from scipy.stats import bootstrap
 
 import shake_env
 from agents.fidelity import Fidelity, fidelity
+from agents.free_design import FREE, as_free, free_design
 from agents.policy_file import load_policy
 from baselines.catalogue import BASELINES
 from baselines.clairvoyant import clairvoyant
-from baselines.registry import make_baseline, reference_name
+from baselines.registry import make_baseline, reference_name, tuned_parameters
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError, PolicyFileError, ScenarioError, ShakeError, unknown
 from shake_env.metrics import EpisodeMetrics
@@ -114,8 +115,9 @@ def named_controllers(
     ----------
     names
         Names of `baselines.catalogue`, ``all`` for every one of them that suits the scenario, ``policy``
-        and ``analytic`` (those that ship), ``clairvoyant`` or paths of policy files and run
-        directories. The reference, which costs are relative to, is always among them.
+        and ``analytic`` (those that ship), ``clairvoyant``, ``free`` (`agents.free_design`) or paths of
+        policy files and run directories. The reference, which costs are relative to, is always among
+        them.
     scenario
         What they drive. What ``all`` or ``policy`` stand for is left out where it does not suit; what is
         named raises.
@@ -144,6 +146,9 @@ def named_controllers(
                     skipped.append(f"{each} ({error})")
         elif name == CLAIRVOYANT:
             continue  # runs on a scenario of its own: `compare` sees to it
+        elif name == FREE:
+            values = as_free(scenario, {}, accommodates=True) | tuned_parameters(FREE, scenario.name)
+            controllers[FREE] = free_design(scenario, **values)
         elif name in SHIPPED:
             policy = load_policy(shipped_policy(name))
             try:
@@ -159,7 +164,9 @@ def named_controllers(
             if name not in controllers:
                 controllers[name] = make_baseline(name, scenario, None, earthquakes)
         elif not (Path(name).exists() or "/" in name or "." in name):
-            raise unknown(ScenarioError, "controller", name, [*BASELINES, ALL, CLAIRVOYANT, *SHIPPED])
+            raise unknown(
+                ScenarioError, "controller", name, [*BASELINES, ALL, CLAIRVOYANT, FREE, *SHIPPED]
+            )
         else:
             path = Path(name)
             policy = load_policy(path / "policy.safetensors" if path.is_dir() else path)

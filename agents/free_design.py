@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from baselines.catalogue import Tunable
+from baselines.catalogue import Baseline, Tunable
 from baselines.clairvoyant import Rescaled, rescaling
 from baselines.estimator_model import ModelError
 from baselines.lqg import estimated
@@ -19,6 +19,8 @@ from baselines.preview_lqr import PreviewFeedback, preview_lqr
 from shake_env.controller import Controller
 from shake_env.parameters import Specimen
 from shake_env.scenario import Scenario
+
+FREE = "free"  # its name, where controllers have one
 
 LAW = {
     "acceleration": Tunable(0.1, 10.0, 1.0),  # weight of the acceleration error, times the objective's
@@ -44,7 +46,22 @@ def free_parameters(scenario: Scenario) -> dict[str, Tunable]:
     return LAW | place | ({} if seen else FILTER)
 
 
-def free_design(scenario: Scenario, values: Mapping[str, float]) -> Controller:
+def free_baseline(scenario: Scenario) -> Baseline:
+    """Return the design as an entry of a catalogue, for a scenario whose parts fix what is free."""
+    return Baseline(free_design, "everything of a linear design left free", free_parameters(scenario))
+
+
+def as_free(scenario: Scenario, tuned: Mapping[str, float], *, accommodates: bool) -> dict[str, float]:
+    """Return the free parameters of a preview LQR or LQG with `tuned` position and doubt."""
+    free = free_parameters(scenario)
+    values = {name: tunable.default for name, tunable in free.items()}
+    doubt = tuned.get("doubt", 1.0)
+    same = {"position": tuned.get("position"), "force": doubt, "flow": doubt}
+    same["accommodation"] = float(accommodates)
+    return values | {name: value for name, value in same.items() if name in free and value is not None}
+
+
+def free_design(scenario: Scenario, **values: float) -> Controller:
     """Return the controller of `free_parameters` values."""
 
     def make(full: Scenario) -> Controller:

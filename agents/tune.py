@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 import shake_env
-from baselines.catalogue import BASELINES, Tunable
-from baselines.registry import make_baseline
+from agents.free_design import FREE, as_free, free_baseline
+from baselines.catalogue import BASELINES, Baseline, Tunable
+from baselines.registry import tuned_parameters
 from shake_env.controller import Controller
 from shake_env.errors import NumericalError, ParameterError, ScenarioError, ShakeError, unknown
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
@@ -83,28 +84,55 @@ def tune(
     ParameterError
         If it has nothing to tune, or the budget is below one trial.
     """
-    if name not in BASELINES:
-        raise unknown(ScenarioError, "controller", name, BASELINES)
-    tunable = BASELINES[name].tunable
+    candidate = searched(name, scenario)
+    tunable = candidate.tunable
     if not tunable:
         raise ParameterError("controller", name, "has no free parameter: its design decides everything")
     motions = noise_earthquakes(scenario, earthquakes, VALIDATION_SEED)
     steps = round(motions[0].motion.duration / scenario.control_period) * earthquakes  # type: ignore[union-attr]
-    steps *= BASELINES[name].tests
+    steps *= candidate.tests
     total = trials_of(budget, steps)
-    quakes = motions if BASELINES[name].repeats_tests else None
-    if quakes is None:
-        make_baseline(name, scenario, {})  # says at once if the scenario does not suit it
+    quakes = [motions] if candidate.repeats_tests else []
+    starts = [{each: t.default for each, t in tunable.items()}, *starting_points(name, scenario)]
+    if not quakes:
+        candidate.make(scenario, **starts[0])  # says at once if the scenario does not suit it
 
     def cost(values: dict[str, float]) -> float:
-        return mean_cost(lambda: make_baseline(name, scenario, values, quakes), scenario, motions)
+        return mean_cost(lambda: candidate.make(scenario, *quakes, **values), scenario, motions)
 
     study = f"{scenario.name}/{name}/{seed}/{earthquakes}"
-    found = search(cost, tunable, storage, study, total, seed, on_trial)
+    found = search(cost, tunable, storage, study, total, seed, on_trial, starts)
     return Tuning(
         name, scenario.name, found.parameters, found.cost, found.default_cost,
         found.trials, found.trials * steps, earthquakes, seed,
     )  # fmt: skip
+
+
+def searched(name: str, scenario: Scenario) -> Baseline:
+    """Return the controller called `name`, of the catalogue or the free design, on a scenario.
+
+    Raises
+    ------
+    ScenarioError
+        If there is none of that name.
+    """
+    if name == FREE:
+        return free_baseline(scenario)
+    if name not in BASELINES:
+        raise unknown(ScenarioError, "controller", name, [*BASELINES, FREE])
+    return BASELINES[name]
+
+
+def starting_points(name: str, scenario: Scenario) -> list[dict[str, float]]:
+    """Return what is tried after the defaults: for the free design what others were tuned to."""
+    if name != FREE:
+        return []
+    points = []
+    for other in ("preview-lqr", "lqg", "lqg-accommodating"):
+        tuned = tuned_parameters(other, scenario.name)
+        if tuned:
+            points.append(as_free(scenario, tuned, accommodates=other == "lqg-accommodating"))
+    return points
 
 
 def trials_of(budget: int, steps: int) -> int:
@@ -150,8 +178,12 @@ def search(
     total: int,
     seed: int,
     on_trial: Callable[[int, int, float], None],
+    starts: Sequence[Mapping[str, float]],
 ) -> Found:
-    """Search `tunable` for the least cost in `total` trials, those of an earlier run counted."""
+    """Search `tunable` for the least cost in `total` trials, those of an earlier run counted.
+
+    The first trials are `starts`; what the first of them costs is the result's `default_cost`.
+    """
     try:
         import optuna
     except ImportError:
@@ -174,7 +206,8 @@ def search(
     # A resumed search draws from a seed of its own, or it would repeat its first trials.
     study.sampler = optuna.samplers.TPESampler(seed=seed + 1000 * done, multivariate=True)
     if done == 0:
-        study.enqueue_trial({each: t.default for each, t in tunable.items()})
+        for start in starts:
+            study.enqueue_trial(dict(start))
     while done < total:
         study.optimize(objective, n_trials=1)
         done = _finished(study)
