@@ -12,7 +12,6 @@ from typing import Any
 
 import shake_env
 from agents.compare import CLAIRVOYANT, Comparison, GroupSummary, compare, plain_row
-from agents.free_design import FREE
 from baselines.catalogue import BASELINES
 from baselines.registry import reference_name
 from shake_env import make_scenario
@@ -25,7 +24,7 @@ SCENARIOS = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
 def bench(
     scenario_name: str,
     earthquakes: int,
-    names: Sequence[str] = (CLAIRVOYANT, "all", FREE),
+    names: Sequence[str] = (CLAIRVOYANT, "all"),
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
 ) -> dict[str, Any]:
     """Return the result of all controllers on test earthquakes of a scenario, as plain JSON values.

@@ -114,7 +114,8 @@ def named_controllers(
     Parameters
     ----------
     names
-        Names of `baselines.catalogue`, ``all`` for every one of them that suits the scenario, ``policy``
+        Names of `baselines.catalogue`, ``all`` for every one of them that suits the scenario and what an
+        independent search has found for it (`agents.free_design`), ``policy``
         and ``analytic`` (those that ship), ``clairvoyant``, ``free`` (`agents.free_design`) or paths of
         policy files and run directories. The reference, which costs are relative to, is always among
         them.
@@ -144,11 +145,12 @@ def named_controllers(
                         controllers[each] = make_baseline(each, scenario, None, earthquakes)
                 except ShakeError as error:  # it does not suit the scenario, or its design fails there
                     skipped.append(f"{each} ({error})")
+            if tuned_parameters(FREE, scenario.name):
+                controllers[FREE] = _free(scenario)
         elif name == CLAIRVOYANT:
             continue  # runs on a scenario of its own: `compare` sees to it
         elif name == FREE:
-            values = as_free(scenario, {}, accommodates=True) | tuned_parameters(FREE, scenario.name)
-            controllers[FREE] = free_design(scenario, **values)
+            controllers[FREE] = _free(scenario)
         elif name in SHIPPED:
             policy = load_policy(shipped_policy(name))
             try:
@@ -173,6 +175,11 @@ def named_controllers(
             policy.check(scenario)
             controllers[name] = policy
     return controllers, skipped
+
+
+def _free(scenario: Scenario) -> Controller:
+    values = as_free(scenario, {}, accommodates=True) | tuned_parameters(FREE, scenario.name)
+    return free_design(scenario, **values)
 
 
 def decision_time(controller: Controller, scenario: Scenario, decisions: int = 200) -> float:
