@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 import torch
+from sb3_contrib import RecurrentPPO
+from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from agents.analytic_gradient import AnalyticPolicyGradient
@@ -45,7 +47,9 @@ def save_checkpoint(run: Path, model: Model, env: ShakeTableVecEnv) -> Path:
         "python": random.getstate(),
     }
     if isinstance(model, OffPolicyAlgorithm):
-        state["replay_buffer"] = model.replay_buffer
+        state["replay_buffer"] = _filled(model.replay_buffer)
+    if isinstance(model, RecurrentPPO):
+        state["memory"] = model._last_lstm_states
     if isinstance(model, AnalyticPolicyGradient):
         state["memory"] = model.memory
     torch.save(state, partial / "state.pt")
@@ -58,6 +62,22 @@ def save_checkpoint(run: Path, model: Model, env: ShakeTableVecEnv) -> Path:
 def checkpoints(run: Path) -> list[Path]:
     """Return a run's complete checkpoints, oldest first."""
     return sorted((run / "checkpoints").glob("step-*"))
+
+
+_REMEMBERED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+def _filled(buffer: ReplayBuffer) -> dict[str, Any]:
+    """Return what a replay buffer holds; the rest of it is zeros that need no room on disk."""
+    rows = buffer.size()
+    held = {name: getattr(buffer, name)[:rows] for name in _REMEMBERED}
+    return {"pos": buffer.pos, "full": buffer.full, **held}
+
+
+def _refill(buffer: ReplayBuffer, held: dict[str, Any]) -> None:
+    buffer.pos, buffer.full = held["pos"], held["full"]
+    for name in _REMEMBERED:
+        getattr(buffer, name)[: len(held[name])] = held[name]
 
 
 def load_checkpoint(run: Path, algorithm: str, env: ShakeTableVecEnv) -> Model:
@@ -80,7 +100,9 @@ def load_checkpoint(run: Path, algorithm: str, env: ShakeTableVecEnv) -> Model:
         model._last_obs = state["last_observation"]
         model._last_episode_starts = state["last_episode_starts"]
         if isinstance(model, OffPolicyAlgorithm):
-            model.replay_buffer = state["replay_buffer"]
+            _refill(model.replay_buffer, state["replay_buffer"])
+        if isinstance(model, RecurrentPPO):
+            model._last_lstm_states = state["memory"]
         if isinstance(model, AnalyticPolicyGradient):
             model.memory = state["memory"]
         model.action_space._np_random = state["action_space"]

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from agents.algorithm_options import RecurrentPPOOptions, TD3Options, TQCOptions
 from agents.base_law import BaseLaw
 from agents.options import ScenarioOptions
 from shake_env.errors import ParameterError, RunDirectoryError
@@ -111,6 +112,9 @@ class AnalyticOptions:
     """Torch device. On a CPU a gradient takes tens of milliseconds."""
 
 
+Options = PPOOptions | SACOptions | TD3Options | TQCOptions | RecurrentPPOOptions | AnalyticOptions
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
     """One training run. Everything that decides its result is in here, and in the run's config.json.
@@ -121,7 +125,7 @@ class TrainConfig:
         If a number is outside its range.
     """
 
-    algorithm: Literal["ppo", "sac", "analytic"] = "ppo"
+    algorithm: Literal["ppo", "sac", "td3", "tqc", "recurrent-ppo", "analytic"] = "ppo"
     """Learning algorithm."""
     scenario: ScenarioOptions = field(default_factory=ScenarioOptions)
     """What is learned on."""
@@ -129,13 +133,19 @@ class TrainConfig:
     """Options of PPO, used with --algorithm ppo."""
     sac: SACOptions = field(default_factory=SACOptions)
     """Options of SAC, used with --algorithm sac."""
+    td3: TD3Options = field(default_factory=TD3Options)
+    """Options of TD3, used with --algorithm td3."""
+    tqc: TQCOptions = field(default_factory=TQCOptions)
+    """Options of TQC, used with --algorithm tqc."""
+    recurrent_ppo: RecurrentPPOOptions = field(default_factory=RecurrentPPOOptions)
+    """Options of PPO with a memory, used with --algorithm recurrent-ppo."""
     analytic: AnalyticOptions = field(default_factory=AnalyticOptions)
     """Options of the analytic policy gradient, used with --algorithm analytic."""
     seed: int = 0
     """Seed of networks, exploration and earthquakes."""
     total_steps: int | None = None
-    """Control periods of all tables together (unset: 4 million for PPO, 250 thousand for SAC, 12 million
-    for the analytic gradient; 2 to 10 minutes)."""
+    """Control periods of all tables together (unset: 4 million for PPO, 3 million with a memory, 250
+    thousand for SAC, TD3 and TQC, 12 million for the analytic gradient; 2 to 10 minutes)."""
     horizon: float | None = None
     """Time over which the discount looks ahead [s] (unset: 0.25, for the analytic gradient 5);
     discount = exp(-control period / horizon)."""
@@ -162,21 +172,23 @@ class TrainConfig:
         for name in ("total_steps", "horizon"):
             if getattr(self, name) is not None:
                 require_positive(self, name)
-        if self.ppo.tables * self.ppo.rollout_steps % self.ppo.batch_size:
-            raise ParameterError(
-                "batch_size",
-                self.ppo.batch_size,
-                f"must divide the {self.ppo.tables * self.ppo.rollout_steps} samples of a roll-out",
-            )
+        for ppo in (self.ppo, self.recurrent_ppo):
+            if (samples := ppo.tables * ppo.rollout_steps) % ppo.batch_size:
+                raise ParameterError(
+                    "batch_size", ppo.batch_size, f"must divide the {samples} samples of a roll-out"
+                )
         not_positive = (
             "initial_log_std", "target_entropy", "base", "scale_free", "terminal_value", "memory",
-            "precision", "device",
+            "precision", "device", "dropped",
         )  # fmt: skip
-        every = (self.ppo, self.sac, self.analytic)
+        every = (self.ppo, self.sac, self.td3, self.tqc, self.recurrent_ppo, self.analytic)
         for options in every:
             require_positive(options, *(name for name in vars(options) if name not in not_positive))
         require_non_negative(self, "seed")
         require_non_negative(self.analytic, "memory")
+        require_non_negative(self.tqc, "dropped")
+        if self.tqc.dropped >= self.tqc.quantiles:
+            raise ParameterError("dropped", self.tqc.dropped, "must leave a quantile of each critic")
         if self.analytic.warmup >= 1.0:
             raise ParameterError("warmup", self.analytic.warmup, "is a share of the run: below 1")
         for options in every:
@@ -186,16 +198,16 @@ class TrainConfig:
             raise ParameterError("hidden", self.hidden, "give the width of each layer, e.g. 64 64")
 
     @property
-    def chosen(self) -> PPOOptions | SACOptions | AnalyticOptions:
+    def chosen(self) -> Options:
         """The options of the algorithm in use."""
-        options = {"ppo": self.ppo, "sac": self.sac, "analytic": self.analytic}
-        return options[self.algorithm]
+        options: Options = getattr(self, self.algorithm.replace("-", "_"))
+        return options
 
     @property
     def steps(self) -> int:
         """Control periods to train for."""
-        usual = {"ppo": 4_000_000, "sac": 250_000, "analytic": 12_288_000}
-        return self.total_steps or usual[self.algorithm]
+        usual = {"ppo": 4_000_000, "recurrent-ppo": 3_000_000, "analytic": 12_288_000}
+        return self.total_steps or usual.get(self.algorithm, 250_000)
 
     @property
     def lookahead(self) -> float:
@@ -210,6 +222,13 @@ class TrainConfig:
         """Return the configuration as plain JSON values."""
         plain: dict[str, Any] = json.loads(json.dumps(asdict(self)))
         return plain
+
+
+# Options that configurations of before there were these algorithms do not hold.
+_LATER = {
+    "td3": TD3Options, "tqc": TQCOptions, "recurrent_ppo": RecurrentPPOOptions,
+    "analytic": AnalyticOptions,
+}  # fmt: skip
 
 
 def read_config(run: Path) -> TrainConfig:
@@ -230,7 +249,7 @@ def read_config(run: Path) -> TrainConfig:
                 ),
                 "ppo": PPOOptions(**values["ppo"]),
                 "sac": SACOptions(**values["sac"]),
-                "analytic": AnalyticOptions(**values.get("analytic", {})),
+                **{name: kind(**values.get(name, {})) for name, kind in _LATER.items()},
                 "hidden": tuple(values["hidden"]),
             }
         )

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import torch
-from stable_baselines3 import PPO, SAC
+from sb3_contrib import TQC, RecurrentPPO
+from stable_baselines3 import PPO, SAC, TD3
+from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.policies import ActorCriticPolicy
 
+from agents.algorithm_options import TD3Options, TQCOptions
 from agents.analytic_gradient import AnalyticPolicyGradient
 from agents.config import TrainConfig
 from agents.direct import DirectPolicy
 from agents.features import LinearFeatures, feature_matrix, feature_sizes
+from agents.long_short_term import LSTMPolicy
 from agents.recurrent import GRUPolicy
 from agents.sb3_vec_env import ShakeTableVecEnv
 from shake_env.scenario import Scenario
@@ -45,20 +50,35 @@ class ScaleFreeDirectPolicy(DirectPolicy):
         _without_biases(self)
 
 
-class WarmSAC(SAC):
-    """SAC that warms up with its own untrained policy.
+class _Warm:
+    """Warms up with the algorithm's own untrained policy.
 
     SB3 begins with actions uniform over the whole valve, which throw every table off within a second.
     """
 
     def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
-        return super()._sample_action(0, action_noise, n_envs)
+        return super()._sample_action(0, action_noise, n_envs)  # type: ignore[misc]
 
 
-Model = PPO | SAC | AnalyticPolicyGradient
-ALGORITHMS: dict[str, type[PPO] | type[SAC] | type[AnalyticPolicyGradient]] = {
+class WarmSAC(_Warm, SAC):
+    """SAC that warms up with its own untrained policy."""
+
+
+class WarmTD3(_Warm, TD3):
+    """TD3 that warms up with its own untrained policy and exploration."""
+
+
+class WarmTQC(_Warm, TQC):
+    """TQC that warms up with its own untrained policy."""
+
+
+Model = PPO | SAC | TD3 | TQC | RecurrentPPO | AnalyticPolicyGradient
+ALGORITHMS: dict[str, type[Model]] = {
     "ppo": PPO,
     "sac": WarmSAC,
+    "td3": WarmTD3,
+    "tqc": WarmTQC,
+    "recurrent-ppo": RecurrentPPO,
     "analytic": AnalyticPolicyGradient,
 }
 
@@ -114,31 +134,86 @@ def new_model(config: TrainConfig, scenario: Scenario, env: ShakeTableVecEnv) ->
             policy_kwargs={**policy, "log_std_init": ppo.initial_log_std},
             device="cpu",
         )
+    if config.algorithm == "recurrent-ppo":
+        return _recurrent(config, policy, env, gamma)
     if config.algorithm == "analytic":
         return _analytic(config, policy, env, gamma)
-    sac = config.sac
-    model = WarmSAC(
-        "MlpPolicy",
+    return _off_policy(config, policy, env, gamma)
+
+
+def _off_policy(
+    config: TrainConfig, policy: dict[str, Any], env: ShakeTableVecEnv, gamma: float
+) -> SAC | TD3 | TQC:
+    chosen = {"sac": config.sac, "td3": config.td3, "tqc": config.tqc}[config.algorithm]
+    common: dict[str, Any] = {
+        "batch_size": chosen.batch_size,
+        "gradient_steps": chosen.gradient_steps,
+        "learning_rate": LinearDecay(chosen.learning_rate),
+        "buffer_size": chosen.buffer_size,
+        "learning_starts": chosen.warmup_steps,
+        "tau": chosen.tau,
+        "gamma": gamma,
+        "seed": config.seed,
+        "device": "cpu",
+    }
+    if isinstance(chosen, TD3Options):
+        model = WarmTD3(
+            "MlpPolicy",
+            env,
+            policy_delay=chosen.policy_delay,
+            action_noise=NormalActionNoise(np.zeros(1), np.full(1, chosen.exploration)),
+            target_policy_noise=chosen.target_noise,
+            target_noise_clip=chosen.target_noise_clip,
+            policy_kwargs=policy,
+            **common,
+        )
+        with torch.no_grad():  # as SAC's actor below
+            model.actor.mu[-2].weight.mul_(0.01)
+            model.actor.mu[-2].bias.zero_()
+        model.actor_target.load_state_dict(model.actor.state_dict())
+        return model
+    entropy: dict[str, Any] = {"target_entropy": chosen.target_entropy, "ent_coef": "auto_0.001"}
+    soft: SAC | TQC
+    if isinstance(chosen, TQCOptions):
+        quantiles = {"n_quantiles": chosen.quantiles, "n_critics": chosen.critics}
+        soft = WarmTQC(
+            "MlpPolicy",
+            env,
+            top_quantiles_to_drop_per_net=chosen.dropped,
+            policy_kwargs={**policy, **quantiles},
+            **entropy,
+            **common,
+        )
+    else:
+        soft = WarmSAC("MlpPolicy", env, policy_kwargs=policy, **entropy, **common)
+    with torch.no_grad():  # for PPO's reason the actor starts with a small spread about zero
+        soft.actor.log_std.weight.mul_(0.01)
+        soft.actor.log_std.bias.fill_(chosen.initial_log_std)
+        soft.actor.mu.weight.mul_(0.01)
+        soft.actor.mu.bias.zero_()
+    return soft
+
+
+def _recurrent(
+    config: TrainConfig, policy: dict[str, Any], env: ShakeTableVecEnv, gamma: float
+) -> RecurrentPPO:
+    chosen = config.recurrent_ppo
+    return RecurrentPPO(
+        LSTMPolicy,
         env,
-        batch_size=sac.batch_size,
-        gradient_steps=sac.gradient_steps,
-        learning_rate=LinearDecay(sac.learning_rate),
-        buffer_size=sac.buffer_size,
-        tau=sac.tau,
-        target_entropy=sac.target_entropy,
-        ent_coef="auto_0.001",
-        learning_starts=sac.warmup_steps,
+        n_steps=chosen.rollout_steps,
+        batch_size=chosen.batch_size,
+        n_epochs=chosen.epochs,
+        learning_rate=LinearDecay(chosen.learning_rate),
+        gae_lambda=chosen.gae_lambda,
+        clip_range=chosen.clip_range,
         gamma=gamma,
         seed=config.seed,
-        policy_kwargs=policy,
+        policy_kwargs={
+            **policy, "log_std_init": chosen.initial_log_std, "lstm_hidden_size": chosen.units
+        },
         device="cpu",
-    )
-    with torch.no_grad():  # for the same reason the actor starts with a small spread about zero
-        model.actor.log_std.weight.mul_(0.01)
-        model.actor.log_std.bias.fill_(sac.initial_log_std)
-        model.actor.mu.weight.mul_(0.01)
-        model.actor.mu.bias.zero_()
-    return model
+    )  # fmt: skip
 
 
 def _analytic(

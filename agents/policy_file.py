@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from agents.memory_units import PARTS, UNITS, GatedUnit, MemoryUnit, Weights, rest
 from shake_env.errors import PolicyFileError
 from shake_env.scenario import Scenario
 
@@ -23,51 +24,6 @@ FORMAT = "shake-policy-1"
 _REMEDY = "give a policy file written by 'shake train' (policy.safetensors)"
 _ACTIVATIONS = ("tanh", "relu")
 _OUTPUTS = ("clip", "tanh")
-Weights = NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class GatedUnit:
-    """A gated recurrent unit (Cho et al., 2014) in numpy, gates in torch's order: reset, update, new.
-
-    Raises
-    ------
-    PolicyFileError
-        If the shapes of its parts do not fit, or a number in it is not finite.
-    """
-
-    input_weight: Weights  # (3 units, features)
-    hidden_weight: Weights  # (3 units, units)
-    input_bias: Weights  # (3 units,)
-    hidden_bias: Weights  # (3 units,)
-
-    def __post_init__(self) -> None:
-        rows, units = self.hidden_weight.shape[0], self.hidden_weight.shape[1]
-        fits = (
-            rows == 3 * units > 0
-            and self.input_weight.shape[0] == rows
-            and self.input_bias.shape == self.hidden_bias.shape == (rows,)
-        )
-        _require(fits, "memory shape", self.hidden_weight.shape, _REMEDY)
-        for array in vars(self).values():
-            _require(bool(np.isfinite(array).all()), "memory weights", "nan or inf", _REMEDY)
-
-    @property
-    def units(self) -> int:
-        """Width of the memory."""
-        return int(self.hidden_weight.shape[1])
-
-    def __call__(self, features: Weights, memory: Weights) -> Weights:
-        """Return the new memory (..., units) for features (..., features)."""
-        n = self.units
-        new = features @ self.input_weight.T + self.input_bias
-        old = memory @ self.hidden_weight.T + self.hidden_bias
-        # The logistic function, by a tanh that cannot overflow.
-        gates = 0.5 + 0.5 * np.tanh(0.5 * (new[..., : 2 * n] + old[..., : 2 * n]))
-        reset, update = gates[..., :n], gates[..., n:]
-        proposed = np.tanh(new[..., 2 * n :] + reset * old[..., 2 * n :])
-        kept: Weights = proposed + update * (memory - proposed)
-        return kept
 
 
 @dataclass(frozen=True)
@@ -96,7 +52,7 @@ class PolicyFile:
     authority: float  # what a network output of 1 adds to it
     card: dict[str, Any]  # how it was made: scenario, algorithm, command, seed, evaluation
     direct: bool = False  # whether the last layer also reads what the first does
-    memory: GatedUnit | None = None
+    memory: MemoryUnit | None = None
 
     def __post_init__(self) -> None:
         _require(self.activation in _ACTIVATIONS, "activation", self.activation, _REMEDY)
@@ -135,14 +91,14 @@ class PolicyFile:
         hidden = np.clip(observation @ self.matrix.T, -self.feature_clip, self.feature_clip)
         kept: tuple[Any, ...] | None = None
         if self.memory is not None:
-            past = np.zeros((*hidden.shape[:-1], self.memory.units), np.float32)
+            past = rest(self.memory, hidden.shape[:-1])
             if state is not None:
-                past = state[0]
+                past = state
                 if episode_start is not None:
                     begun = np.reshape(episode_start, hidden.shape[:-1])[..., None]
-                    past = np.where(begun, np.float32(0.0), past)
-            kept = (self.memory(hidden, past),)
-            hidden = np.concatenate([hidden, kept[0]], axis=-1)
+                    past = tuple(np.where(begun, np.float32(0.0), part) for part in past)
+            recalled, kept = self.memory(hidden, past)
+            hidden = np.concatenate([hidden, recalled], axis=-1)
         entering, last = hidden, len(self.weights) - 1
         for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             if self.direct and number == last:
@@ -176,14 +132,14 @@ class PolicyFile:
             "authority": self.authority,
             "layers": len(self.weights),
             "direct": self.direct,
-            "memory": self.memory is not None,
+            "memory": None if self.memory is None else self.memory.kind,
             "card": self.card,
         }
         arrays = {"matrix": self.matrix, "base": self.base}
         for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             arrays[f"weight.{number}"], arrays[f"bias.{number}"] = weight, bias
-        for name, array in {} if self.memory is None else vars(self.memory).items():
-            arrays[f"memory.{name}"] = array
+        for name in () if self.memory is None else PARTS:
+            arrays[f"memory.{name}"] = getattr(self.memory, name)
         partial = path.with_name(path.name + ".partial")
         contiguous = {name: np.ascontiguousarray(a) for name, a in arrays.items()}
         partial.write_bytes(save(contiguous, {"shake": json.dumps(header, sort_keys=True)}))
@@ -213,10 +169,13 @@ def load_policy(path: Path) -> PolicyFile:
     try:
         layers = range(int(header["layers"]))
         memory = None
-        if header.get("memory", False):  # files of before policies had one do not say
-            memory = GatedUnit(
-                *(_float32(arrays[f"memory.{name}"], 2) for name in ("input_weight", "hidden_weight")),
-                *(_float32(arrays[f"memory.{name}"], 1) for name in ("input_bias", "hidden_bias")),
+        if kind := header.get("memory"):  # files of before policies had one do not say
+            unit = GatedUnit if kind is True else UNITS[kind]  # those of before there were two say true
+            memory = unit(
+                *(
+                    _float32(arrays[f"memory.{name}"], d)
+                    for name, d in zip(PARTS, (2, 2, 1, 1), strict=True)
+                )
             )
         return PolicyFile(
             matrix=_float32(arrays["matrix"], 2),

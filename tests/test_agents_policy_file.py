@@ -5,14 +5,18 @@ import struct
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
 
+from agents.algorithm_options import RecurrentPPOOptions, TD3Options, TQCOptions
 from agents.base_law import base_row
 from agents.compare import shipped_policy
 from agents.config import AnalyticOptions, PPOOptions, SACOptions, TrainConfig
 from agents.export import export_policy
 from agents.features import feature_matrix
+from agents.long_short_term import LSTMPolicy
 from agents.models import new_model
 from agents.policy_file import load_policy
 from agents.sb3_vec_env import ShakeTableVecEnv
@@ -22,12 +26,14 @@ from shake_env.errors import PolicyFileError
 
 
 @pytest.mark.parametrize("friction", [0.0, 300.0])
-@pytest.mark.parametrize("algorithm", ["ppo", "sac", "analytic"])
+@pytest.mark.parametrize("algorithm", ["ppo", "sac", "td3", "tqc", "analytic"])
 def test_a_file_gives_the_action_that_sb3_gives(algorithm, friction, tmp_path):
     config = TrainConfig(
         algorithm=algorithm,
         ppo=PPOOptions(tables=2, rollout_steps=8, batch_size=16),
         sac=SACOptions(tables=2, buffer_size=100),
+        td3=TD3Options(tables=2, buffer_size=100),
+        tqc=TQCOptions(tables=2, buffer_size=100),
         analytic=AnalyticOptions(tables=2),
     )
     scenario = make_scenario("linear", {"fields": {"nonlinearity.friction.coulomb": friction}})
@@ -74,6 +80,45 @@ def test_a_file_with_a_memory_gives_the_action_that_sb3_gives(name, tmp_path):
         single, single_state = policy.predict(observation[3], single_state, begun[3:4])
         np.testing.assert_allclose(single, expected[3], atol=1e-6)
     assert np.ptp(expected) > 0.1
+
+
+@pytest.mark.parametrize("name", ["laboratory", "unknown-specimen"])
+def test_a_file_with_an_lstm_gives_the_action_that_sb3_contrib_gives(name, tmp_path):
+    scenario = make_scenario(name)
+    env = ShakeTableVecEnv(scenario, 2)
+    options = RecurrentPPOOptions(tables=2, rollout_steps=8, batch_size=16, units=16)
+    config = TrainConfig(algorithm="recurrent-ppo", recurrent_ppo=options)
+    model = new_model(config, scenario, env)
+    for parameter in model.policy.parameters():
+        parameter.data.mul_(1.5)
+    path = tmp_path / "policy.safetensors"
+    export_policy(model, env, {"seed": 0}).save(path)
+    policy = load_policy(path)
+    rng = np.random.default_rng(0)
+    state = expected_state = None
+    spread = 0.0
+    for step in range(50):
+        observation = rng.normal(0.0, 0.5, (20, scenario.observation.size)).astype(np.float32)
+        begun = rng.random(20) < 0.1 if step else np.ones(20, dtype=bool)
+        action, state = policy.predict(observation, state, begun)
+        expected, expected_state = model.predict(observation, expected_state, begun, deterministic=True)
+        np.testing.assert_allclose(action, expected, atol=1e-6)
+        spread = max(spread, np.ptp(expected))
+    assert spread > 0.01  # a fresh last layer is small
+
+
+def test_sequences_that_begin_with_a_start_are_what_sb3_contrib_makes_of_them():
+    torch.manual_seed(0)
+    lstm = torch.nn.LSTM(5, 3)
+    features, states = torch.randn(4 * 6, 5), (torch.randn(1, 4, 3), torch.randn(1, 4, 3))
+    for places in ((0, 12), (0, 8)):  # at the first rows of sequences, and within one
+        starts = torch.zeros(24)
+        starts[list(places)] = 1.0
+        ours, after = LSTMPolicy._process_sequence(features, states, starts, lstm)
+        theirs, expected = RecurrentActorCriticPolicy._process_sequence(features, states, starts, lstm)
+        torch.testing.assert_close(ours, torch.cat([features, theirs], dim=-1))
+        torch.testing.assert_close(after[0], expected[0])
+        torch.testing.assert_close(after[1], expected[1])
 
 
 @pytest.mark.parametrize("stories", [1, 2, 5])

@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 
+from agents.algorithm_options import RecurrentPPOOptions, TD3Options, TQCOptions
 from agents.checkpoint import checkpoints
 from agents.config import AnalyticOptions, PPOOptions, SACOptions, TrainConfig, read_config
 from agents.options import ScenarioOptions
@@ -23,6 +24,11 @@ def small(algorithm, memory=0, **changes):
         algorithm=algorithm,
         ppo=PPOOptions(tables=4, rollout_steps=32, batch_size=64, epochs=2),
         sac=SACOptions(tables=4, batch_size=32, gradient_steps=1, buffer_size=2000, warmup_steps=64),
+        td3=TD3Options(tables=4, batch_size=32, gradient_steps=3, buffer_size=400, warmup_steps=64),
+        tqc=TQCOptions(
+            tables=4, batch_size=32, gradient_steps=1, buffer_size=2000, warmup_steps=64, quantiles=5
+        ),
+        recurrent_ppo=RecurrentPPOOptions(tables=4, rollout_steps=32, batch_size=64, epochs=2, units=8),
         analytic=AnalyticOptions(tables=4, window=16, memory=memory, terminal_value=True),
         hidden=(16,),
         episode=0.2,
@@ -39,6 +45,9 @@ def small(algorithm, memory=0, **changes):
     [
         ("ppo", {}),
         ("sac", {}),
+        ("td3", {}),  # with a replay buffer that is full when the run is cut
+        ("tqc", {}),
+        ("recurrent-ppo", {"scenario": ScenarioOptions("unknown-specimen")}),
         ("analytic", {}),
         ("analytic", {"memory": 8, "scenario": ScenarioOptions("unknown-specimen")}),
     ],
@@ -123,11 +132,12 @@ def test_the_configuration_survives_its_file(tmp_path):
         {"seed": -1},
         {"hidden": ()},
         {"ppo": PPOOptions(tables=64, epochs=0)},
+        {"tqc": TQCOptions(dropped=25)},
         {"analytic": AnalyticOptions(warmup=1.0)},
     ],
 )
 def test_bad_options_are_named(bad):
-    name = {"ppo": "epochs", "analytic": "warmup"}.get(key := next(iter(bad)), key)
+    name = {"ppo": "epochs", "tqc": "dropped", "analytic": "warmup"}.get(key := next(iter(bad)), key)
     with pytest.raises(ParameterError, match=name):
         TrainConfig(**bad)
 
