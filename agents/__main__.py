@@ -21,6 +21,7 @@ except ImportError as missing:  # the environment and LQR install without the co
 from agents.bench_command import Bench
 from agents.components_command import Components
 from agents.config import TrainConfig
+from agents.evaluate_command import Evaluate
 from agents.motion_command import Motion, MotionOptions, motion_earthquakes
 from agents.options import ScenarioOptions
 from agents.progress import progress_bar
@@ -211,6 +212,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "compare": Compare,
     "components": Components,
     "design": Design,
+    "evaluate": Evaluate,
     "motion": Motion,
     "reproduce": Reproduce,
     "scenario": ShowScenario,

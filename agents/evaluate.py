@@ -1,0 +1,291 @@
+"""The protocol of `docs/protocol.md`: policies and controllers on the same test earthquakes."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import subprocess
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import shake_env
+from agents.bench import TEST_SEED
+from agents.compare import CLAIRVOYANT, SHIPPED, decision_time, plain_row, shipped_policy
+from agents.fidelity import fidelity
+from agents.policy_file import PolicyFile, load_policy
+from agents.scores import Episodes, summary
+from baselines.catalogue import BASELINES
+from baselines.clairvoyant import clairvoyant
+from baselines.lqr import sampled_lqr
+from baselines.preview_lqr import preview_lqr
+from baselines.registry import make_baseline, reference_name
+from shake_env.controller import Controller
+from shake_env.errors import ParameterError, PolicyFileError, ScenarioError, unknown
+from shake_env.motion import FilteredNoise
+from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
+from shake_env.scenario import Scenario
+
+FORMAT = "shake-evaluation-1"
+LANES = 64  # earthquakes side by side: their trajectories are held while figures are made of them
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A row of a result: a classical controller, or the policies of some training seeds."""
+
+    name: str
+    policies: tuple[PolicyFile, ...] = ()  # one a seed; none: a classical controller of that name
+    sources: tuple[dict[str, Any], ...] = ()  # likewise: how each was made
+
+    @property
+    def runs(self) -> int:
+        """Number of rows that its table of episodes has."""
+        return max(1, len(self.policies))
+
+
+def contestant(text: str, scenario: Scenario) -> Contestant:
+    """Return what a word of the command line stands for.
+
+    Parameters
+    ----------
+    text
+        A classical controller's name, ``clairvoyant``, ``policy`` or ``analytic`` (those that ship), or
+        ``PATH`` or ``NAME=PATH,PATH...``: policy files, run directories and folders of run directories,
+        whose policies together are one row.
+    scenario
+        What a policy has to fit.
+
+    Raises
+    ------
+    ScenarioError
+        If it is none of these.
+    PolicyFileError
+        If a policy cannot be read or does not fit the scenario, or a folder holds none.
+    """
+    if text in BASELINES or text == CLAIRVOYANT:
+        return Contestant(text)
+    if text in SHIPPED:
+        return _learned(text, [shipped_policy(text)], scenario)
+    name, separator, paths = text.rpartition("=")
+    if not separator and not (Path(text).exists() or "/" in text or "." in text):
+        raise unknown(ScenarioError, "entry", text, [*BASELINES, CLAIRVOYANT, *SHIPPED])
+    files = [file for path in paths.split(",") for file in policy_files(Path(path))]
+    return _learned(name or Path(paths.split(",")[0]).stem, files, scenario)
+
+
+def policy_files(path: Path) -> list[Path]:
+    """Return the policy files that a path stands for: itself, its run's, or those of the runs in it.
+
+    Raises
+    ------
+    PolicyFileError
+        If there are none.
+    """
+    if not path.is_dir():
+        return [path]
+    if (path / "policy.safetensors").exists():
+        return [path / "policy.safetensors"]
+    # Seed 10 comes after seed 9.
+    found = sorted(path.glob("*/policy.safetensors"), key=lambda f: (len(f.parent.name), f.parent.name))
+    if not found:
+        raise PolicyFileError("entry", str(path), "holds neither a policy.safetensors nor runs with one")
+    return found
+
+
+def _learned(name: str, files: Sequence[Path], scenario: Scenario) -> Contestant:
+    policies, sources = [], []
+    for file in files:
+        policy = load_policy(file)
+        policy.check(scenario)
+        config = policy.card.get("config", {})
+        policies.append(policy)
+        sources.append(
+            {
+                "seed": config.get("seed"),
+                "algorithm": config.get("algorithm"),
+                "scenario": config.get("scenario", {}).get("scenario"),
+                "command": policy.card.get("command"),
+                "version": policy.card.get("version"),
+                "code": policy.card.get("code"),
+                "sha256": digest(file),
+            }
+        )
+    return Contestant(name, tuple(policies), tuple(sources))
+
+
+def digest(file: Path) -> str:
+    """Return the SHA-256 of a file."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def code_version() -> str | None:
+    """Return ``git describe`` of the code that runs, or None where it is no git checkout."""
+    command = ["git", "describe", "--always", "--dirty", "--tags"]
+    try:
+        told = subprocess.run(
+            command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True, timeout=10
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return told.stdout.strip() or None
+
+
+def optimal_cost(scenario: Scenario) -> float | None:
+    """Return the analytic optimum J* of the stage cost, or None where there is none.
+
+    There is one for a linear plant that is known, fully seen and answers at once, with or without
+    preview, under a stationary motion and without a limited stroke. The reference is then optimal.
+    """
+    motion = scenario.motion
+    suits = (
+        scenario.sensing.full_state
+        and not scenario.delay
+        and not scenario.nonlinearity.active
+        and not scenario.uncertainty.active
+        and scenario.limits.table_displacement is None
+        and isinstance(motion, FilteredNoise)
+        and motion.envelope is None
+    )
+    if not suits:
+        return None
+    if preview := scenario.sensing.preview:
+        spacing = scenario.sensing.preview_spacing
+        cost = preview_lqr(scenario.discrete, scenario.stage_cost, preview, spacing).analytic_cost
+    else:
+        cost = sampled_lqr(scenario.discrete, scenario.stage_cost).analytic_cost
+    return cost * motion.amplitude**2
+
+
+def evaluate(
+    scenario: Scenario,
+    contestants: Sequence[Contestant],
+    *,
+    earthquakes: int = 200,
+    repeats: bool = True,
+    resamples: int = 2000,
+    on_progress: Callable[[str, float], None] = lambda controller, share: None,
+) -> dict[str, Any]:
+    """Return the result of the protocol as plain JSON values.
+
+    Parameters
+    ----------
+    scenario
+        What is driven; `records` on its own motions, any other on filtered noise.
+    contestants
+        Rows of the result. Reference and yardstick are run in any case.
+    earthquakes
+        Number of test earthquakes; each draws its specimen and noise from a seed of its own.
+    repeats
+        Whether figures of fidelity (spectrum, drift, energy) are made, a fifth of a second an episode.
+    resamples
+        Draws of the bootstrap.
+    on_progress
+        Told the controller that runs and its share done, 0 to 1.
+
+    Raises
+    ------
+    ParameterError
+        If fewer than two earthquakes are asked for, or two rows have one name.
+    """
+    if earthquakes < 2:
+        raise ParameterError("earthquakes", earthquakes, "an interval needs at least 2")
+    recorded = scenario.name == "records"
+    quakes = (
+        recorded_earthquakes(scenario)
+        if recorded
+        else noise_earthquakes(scenario, earthquakes, TEST_SEED)
+    )
+    reference, optimum = reference_name(scenario), optimal_cost(scenario)
+    yardstick = reference if optimum is not None else CLAIRVOYANT
+    given = {each.name: each for each in contestants}
+    if len(given) < len(contestants):
+        raise ParameterError("entries", [c.name for c in contestants], "two rows have one name")
+    rows = {name: given.pop(name, Contestant(name)) for name in (yardstick, reference)} | given
+    episodes, latency = {}, {}
+    for name, each in rows.items():
+
+        def told(share: float, name: str = name) -> None:
+            on_progress(name, share)
+
+        episodes[name] = _episodes(each, scenario, quakes, repeats, told)
+        latency[name] = _latency(each, scenario)
+    summaries = [
+        summary(
+            name,
+            found,
+            yardstick=episodes[yardstick],
+            reference=episodes[reference],
+            optimum=optimum,
+            resamples=resamples,
+        )
+        | {"decision_time": latency[name], "sources": list(rows[name].sources)}
+        for name, found in episodes.items()
+    ]
+    return {
+        "format": FORMAT,
+        "scenario": scenario.name,
+        "version": shake_env.__version__,
+        "code": code_version(),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+        "seed": None if recorded else TEST_SEED,
+        "earthquakes": [quake.name for quake in quakes],
+        "reference": reference,
+        "yardstick": yardstick,
+        "optimal_cost": optimum,
+        "resamples": resamples,
+        "rows": summaries,
+        "episodes": {name: found.to_json() for name, found in episodes.items()},
+    }
+
+
+def _episodes(
+    each: Contestant,
+    scenario: Scenario,
+    quakes: Sequence[Earthquake],
+    repeats: bool,
+    told: Callable[[float], None],
+) -> Episodes:
+    parts = [quakes[i : i + LANES] for i in range(0, len(quakes), LANES)]
+    work = each.runs * len(parts)
+    rows: list[list[dict[str, Any]]] = []
+    for run in range(each.runs):
+        rows.append([])
+        for number, part in enumerate(parts):
+            done = run * len(parts) + number
+
+            def share(part_done: float, done: int = done) -> None:
+                told((done + part_done) / work)
+
+            driven, controller = _controller(each, run, scenario, part)
+            record = range(len(part)) if repeats else ()
+            metrics, traces = rollout(controller, driven, part, record=record, on_step=share)
+            for lane, found in enumerate(metrics):
+                row = asdict(found)
+                if repeats:
+                    row |= asdict(
+                        fidelity(traces[lane], scenario.physics_step, scenario.specimen.stories)
+                    )
+                rows[-1].append(plain_row(row))
+    return Episodes.of(rows)
+
+
+def _controller(
+    each: Contestant, run: int, scenario: Scenario, quakes: Sequence[Earthquake]
+) -> tuple[Scenario, Controller]:
+    if each.policies:
+        return scenario, each.policies[run]
+    if each.name == CLAIRVOYANT:
+        return clairvoyant(scenario, quakes)
+    return scenario, make_baseline(each.name, scenario, None, quakes)
+
+
+def _latency(each: Contestant, scenario: Scenario) -> float | None:
+    """Return the median time [s] of one decision; None for what is made for its own earthquakes."""
+    if each.policies:
+        return decision_time(each.policies[0], scenario)
+    if each.name == CLAIRVOYANT or BASELINES[each.name].repeats_tests:
+        return None
+    return decision_time(make_baseline(each.name, scenario), scenario)

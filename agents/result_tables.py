@@ -1,0 +1,125 @@
+"""Results of the protocol as JSON files, and as the tables of a Markdown page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from shake_env.errors import ParameterError
+
+PREFIX = "evaluation_"  # of a result's file name in docs/results
+COLUMNS = (
+    "controller", "runs", "cost / {yardstick}", "IQM", "worst 5 %", "cost / {reference}",
+    "P(better than {reference})", "shear % rms", "accel. % rms", "failures", "us",
+)  # fmt: skip
+
+
+def write_result(result: dict[str, Any], file: Path) -> None:
+    """Write a result; a reader never sees half of it."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    partial = file.with_suffix(".partial")
+    partial.write_text(_dumps(result), encoding="utf-8")
+    partial.replace(file)
+
+
+def _dumps(result: dict[str, Any]) -> str:
+    """Return JSON with the episodes of a run on one line, so that a result is a page and not a roll."""
+    long = {"episodes": result["episodes"], "earthquakes": result["earthquakes"]}
+    rest = {key: value for key, value in result.items() if key not in long}
+    head = json.dumps(rest, indent=1)[:-2]
+    tail = ",\n".join(f' "{key}": {json.dumps(value)}' for key, value in long.items())
+    return f"{head},\n{tail}\n}}\n"
+
+
+def read_results(folder: Path) -> dict[str, dict[str, Any]]:
+    """Return the results of a folder by the name of their files, without its prefix."""
+    return {
+        file.stem.removeprefix(PREFIX): json.loads(file.read_text(encoding="utf-8"))
+        for file in sorted(folder.glob(f"{PREFIX}*.json"))
+    }
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """Return a result as a Markdown table with what is needed to read it."""
+    same = result["yardstick"] == result["reference"]
+    head = [column.format(**result) for column in COLUMNS]
+    names = ["drift_error", "energy_error", "regret_closed", "optimality"]
+    shown = [name for name in names if any(row[name] is not None for row in result["rows"])]
+    titles = {"regret_closed": "regret closed %", "optimality": "cost / J*"}
+    head[8:8] = [titles.get(name, f"{name.removesuffix('_error')} off % (median)") for name in shown]
+    if same:
+        del head[5]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for row in ranked(result):
+        digits = 3 if row["relative_cost"]["high"] < 10.0 else 1
+        cells = [
+            row["controller"],
+            str(row["runs"]) if row["sources"] else "-",
+            interval(row["relative_cost"], digits),
+            interval(row["interquartile_mean"], digits),
+            interval(row["worst_twentieth"], digits),
+            *([] if same else [interval(row["reference_cost"], digits)]),
+            interval(row["probability_of_improvement"], 2),
+            interval(row["base_shear_rms_error"], 2, 100.0),
+            *(interval(row[n], 3 if n == "optimality" else 1, _scale(n)) for n in shown),
+            interval(row["acceleration_rms_error"], 1, 100.0),
+            f"{row['failures']} of {row['episodes']}",
+            "-" if row["decision_time"] is None else f"{1e6 * row['decision_time']:.0f}",
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    seed = "recorded" if result["seed"] is None else f"seeds from {result['seed']}"
+    optimum = result["optimal_cost"]
+    lines += [
+        "",
+        f"{len(result['earthquakes'])} earthquakes, {seed}; version {result['version']} "
+        f"({result['code']}), {result['machine']}."
+        + ("" if optimum is None else f" J* = {optimum:.6g}."),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _scale(name: str) -> float:
+    return 1.0 if name == "optimality" else 100.0
+
+
+def ranked(result: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows by cost, the yardstick first."""
+    first = result["yardstick"]
+    return sorted(result["rows"], key=lambda r: (r["controller"] != first, r["relative_cost"]["value"]))
+
+
+def interval(found: dict[str, float] | None, digits: int, scale: float = 1.0) -> str:
+    """Return ``value [low, high]``; the value alone where there is no interval, a dash for None."""
+    if found is None:
+        return "-"
+    value, low, high = (f"{scale * found[key]:.{digits}f}" for key in ("value", "low", "high"))
+    return value if low == value == high else f"{value} [{low}, {high}]"
+
+
+def put_tables(page: Path, results: dict[str, dict[str, Any]]) -> list[str]:
+    """Replace what stands between a page's markers by the tables of results.
+
+    A table goes between ``<!-- evaluation NAME -->`` and ``<!-- end NAME -->``.
+
+    Returns
+    -------
+    Names of results that the page has no markers for.
+
+    Raises
+    ------
+    ParameterError
+        If a begin has no end.
+    """
+    text, missing = page.read_text(encoding="utf-8"), []
+    for name, result in results.items():
+        begin, end = f"<!-- evaluation {name} -->\n", f"<!-- end {name} -->"
+        if begin not in text:
+            missing.append(name)
+            continue
+        before, rest = text.split(begin, 1)
+        if end not in rest:
+            raise ParameterError("page", str(page), f"has no marker {end}")
+        text = before + begin + "\n" + markdown(result) + "\n" + end + rest.split(end, 1)[1]
+    page.write_text(text, encoding="utf-8")
+    return missing
