@@ -19,6 +19,7 @@ except ImportError as missing:  # the environment and LQR install without the co
     sys.exit(f"shake: {missing.name} is not installed: pip install 'shake-env[agents]'")
 
 from agents.bench_command import Bench
+from agents.campaign_command import Results, RunCampaign
 from agents.components_command import Components
 from agents.config import TrainConfig
 from agents.evaluate_command import Evaluate
@@ -209,12 +210,14 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
 
 COMMANDS: dict[str, Callable[..., Any]] = {
     "bench": Bench,
+    "campaign": RunCampaign,
     "compare": Compare,
     "components": Components,
     "design": Design,
     "evaluate": Evaluate,
     "motion": Motion,
     "reproduce": Reproduce,
+    "results": Results,
     "scenario": ShowScenario,
     "train": Train,
     "tune": Tune,

@@ -231,6 +231,21 @@ _LATER = {
 }  # fmt: skip
 
 
+def config_of(values: dict[str, Any]) -> TrainConfig:
+    """Return the configuration that :meth:`TrainConfig.to_json` made these values of."""
+    options = values["scenario"]
+    return TrainConfig(
+        **{
+            **values,
+            "scenario": ScenarioOptions(**{**options, "set": tuple(options.get("set", ()))}),
+            "ppo": PPOOptions(**values["ppo"]),
+            "sac": SACOptions(**values["sac"]),
+            **{name: kind(**values.get(name, {})) for name, kind in _LATER.items()},
+            "hidden": tuple(values["hidden"]),
+        }
+    )
+
+
 def read_config(run: Path) -> TrainConfig:
     """Return the configuration that a run directory holds.
 
@@ -240,19 +255,7 @@ def read_config(run: Path) -> TrainConfig:
         If there is none, or it cannot be read.
     """
     try:
-        values = json.loads((run / "config.json").read_text(encoding="utf-8"))
-        return TrainConfig(
-            **{
-                **values,
-                "scenario": ScenarioOptions(
-                    **{**values["scenario"], "set": tuple(values["scenario"].get("set", ()))}
-                ),
-                "ppo": PPOOptions(**values["ppo"]),
-                "sac": SACOptions(**values["sac"]),
-                **{name: kind(**values.get(name, {})) for name, kind in _LATER.items()},
-                "hidden": tuple(values["hidden"]),
-            }
-        )
+        return config_of(json.loads((run / "config.json").read_text(encoding="utf-8")))
     except (OSError, KeyError, TypeError, json.JSONDecodeError) as error:
         raise RunDirectoryError(
             "run directory", str(run), f"holds no readable config.json ({error}): start a new run"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
-import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 
 import shake_env
 from agents.bench import TEST_SEED
+from agents.code_version import code_version
 from agents.compare import CLAIRVOYANT, SHIPPED, decision_time, plain_row, shipped_policy
 from agents.fidelity import fidelity
 from agents.policy_file import PolicyFile, load_policy
@@ -121,18 +121,6 @@ def digest(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def code_version() -> str | None:
-    """Return ``git describe`` of the code that runs, or None where it is no git checkout."""
-    command = ["git", "describe", "--always", "--dirty", "--tags"]
-    try:
-        told = subprocess.run(
-            command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True, timeout=10
-        )
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return told.stdout.strip() or None
-
-
 def optimal_cost(scenario: Scenario) -> float | None:
     """Return the analytic optimum J* of the stage cost, or None where there is none.
 
@@ -179,7 +167,7 @@ def evaluate(
     earthquakes
         Number of test earthquakes; each draws its specimen and noise from a seed of its own.
     repeats
-        Whether figures of fidelity (spectrum, drift, energy) are made, a fifth of a second an episode.
+        Whether figures of fidelity (spectrum, drift, energy) are made, which takes longest.
     resamples
         Draws of the bootstrap.
     on_progress

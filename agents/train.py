@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 import shake_env
 from agents.base_law import base_row
 from agents.checkpoint import load_checkpoint, save_checkpoint
+from agents.code_version import code_version
 from agents.config import TrainConfig, read_config
 from agents.export import export_policy
 from agents.models import Model, new_model
@@ -62,8 +63,18 @@ def train(
     run: Path,
     *,
     report: Callable[[Progress], None] = lambda progress: None,
+    command: str | None = None,
 ) -> TrainResult:
     """Train from scratch into a new run directory.
+
+    Parameters
+    ----------
+    config, run
+        What is trained, and where its files go.
+    report
+        Told where the run stands, every half second at most.
+    command
+        What the policy's card says it was made by; None: this process's own command line.
 
     Raises
     ------
@@ -83,11 +94,16 @@ def train(
     # After the model: SB3 seeds the environment with the run's own seed, so that the tables of run 1
     # would repeat those of run 0 but for one.
     env.seed(config.seed * 100_000)
-    return _run(model, config, env, run, report)
+    return _run(model, config, env, run, report, command)
 
 
-def resume(run: Path, *, report: Callable[[Progress], None] = lambda progress: None) -> TrainResult:
-    """Go on with an interrupted run, exactly as if it had not been interrupted.
+def resume(
+    run: Path,
+    *,
+    report: Callable[[Progress], None] = lambda progress: None,
+    command: str | None = None,
+) -> TrainResult:
+    """Go on with an interrupted run, exactly as if it had not been interrupted; see :func:`train`.
 
     Raises
     ------
@@ -97,7 +113,7 @@ def resume(run: Path, *, report: Callable[[Progress], None] = lambda progress: N
     config = read_config(run)
     env = _tables(config, config.scenario.build())
     torch.set_num_threads(config.threads)
-    return _run(load_checkpoint(run, config.algorithm, env), config, env, run, report)
+    return _run(load_checkpoint(run, config.algorithm, env), config, env, run, report, command)
 
 
 def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
@@ -215,12 +231,21 @@ def _reference(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[l
     return [earthquakes[i] for i in lasting], float(np.mean([metrics[i].cost for i in lasting]))
 
 
+def _curve(run: Path) -> list[list[float]]:
+    """Return the learning curve so far: steps and cost ratio of each evaluation."""
+    rows = map(json.loads, (run / "evaluations.jsonl").read_text(encoding="utf-8").splitlines())
+    # A resumed run evaluates once more where it went on from: the last of them counts.
+    curve = {row["steps"]: row["cost_ratio"] for row in rows}
+    return [[steps, curve[steps]] for steps in sorted(curve)]
+
+
 def _run(
     model: Model,
     config: TrainConfig,
     env: ShakeTableVecEnv,
     run: Path,
     report: Callable[[Progress], None],
+    command: str | None,
 ) -> TrainResult:
     model.set_logger(configure(str(run / "tensorboard"), ["tensorboard"]))
     with threadpool_limits(config.threads):
@@ -244,9 +269,11 @@ def _run(
     card = {
         "control_rate": watch.scenario.control_rate,
         "config": config.to_json(),
-        "command": shlex.join(["shake", *sys.argv[1:]]),
+        "command": command or shlex.join(["shake", *sys.argv[1:]]),
         "version": shake_env.__version__,
+        "code": code_version(),
         "evaluation": {key: value for key, value in asdict(result).items() if key != "run"},
+        "curve": _curve(run),
     }
     export_policy(model, env, card).save(run / "policy.safetensors")
     (run / "result.json").write_text(json.dumps(asdict(result), indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,146 @@
+"""What a campaign trains: a configuration for each scenario and algorithm, and who is run beside them.
+
+A recipe is the algorithm's defaults (see `config`) with as few deviations as its scenario needs, each
+with its reason. Minutes are for planning: one process on one core.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from agents.algorithm_options import RecurrentPPOOptions, TD3Options, TQCOptions
+from agents.config import AnalyticOptions, PPOOptions, SACOptions, TrainConfig
+from agents.options import ScenarioOptions
+from shake_env.errors import ParameterError
+
+MOST_SEEDS = 10  # a run's seed is in units of 100 000; evaluation begins at 1 000 000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arena:
+    """Something to be tested on: a scenario, how often, and the controllers beside the policies."""
+
+    name: str
+    options: ScenarioOptions
+    rivals: tuple[str, ...]  # classical controllers with the same information; the reference is implied
+    earthquakes: int = 200
+    trained_on: str | None = None  # arena whose policies it takes; None: its own
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """One configuration of a campaign, to be run with several seeds."""
+
+    arena: str
+    config: TrainConfig
+    minutes: float  # expected, of one run
+    seeds: int = 5
+    label: str | None = None  # where an algorithm has several recipes in one arena
+    why: str = "the algorithm's defaults"
+
+    @property
+    def name(self) -> str:
+        """``SCENARIO/ALGORITHM``."""
+        return f"{self.arena}/{self.label or self.config.algorithm}"
+
+    def with_seed(self, seed: int) -> TrainConfig:
+        """Return the configuration of one run.
+
+        Raises
+        ------
+        ParameterError
+            If the seed's earthquakes would reach those that policies are evaluated on.
+        """
+        if not 0 <= seed < MOST_SEEDS:
+            raise ParameterError("seed", seed, f"a campaign has seeds 0 to {MOST_SEEDS - 1}")
+        return replace(self.config, seed=seed)
+
+
+LABORATORY_RIVALS = ("lqg", "lqg-accommodating", "inverse-feedback", "feedforward", "tvc", "none")
+FRICTION = ScenarioOptions(set=("nonlinearity.friction.coulomb=300",))
+
+ARENAS: tuple[Arena, ...] = (
+    Arena(name="linear", options=ScenarioOptions(), rivals=("none",)),
+    # The reference there is LQR, which does not know of the friction.
+    Arena(name="friction", options=FRICTION, rivals=("feedforward", "none")),
+    Arena(name="laboratory", options=ScenarioOptions("laboratory"), rivals=LABORATORY_RIVALS),
+    Arena(
+        name="records",
+        options=ScenarioOptions("records"),
+        rivals=LABORATORY_RIVALS,
+        trained_on="laboratory",
+    ),
+    Arena(
+        name="unknown-specimen",
+        options=ScenarioOptions("unknown-specimen"),
+        rivals=("lqg", "lqg-accommodating", "adaptive", "multi-model", "robust", "none"),
+        earthquakes=2000,
+    ),
+    Arena(
+        name="yielding",
+        options=ScenarioOptions("yielding"),
+        rivals=("preview-lqr", "feedforward", "none"),
+    ),
+)
+
+
+def _recipe(
+    arena: str, config: TrainConfig, minutes: float, why: str = "", label: str | None = None
+) -> Recipe:
+    options = next(each.options for each in ARENAS if each.name == arena)
+    config = replace(config, scenario=options)
+    default = "the algorithm's defaults"
+    return Recipe(arena=arena, config=config, minutes=minutes, why=why or default, label=label)
+
+
+# The whole of a laboratory's envelope: rise, strong part and decay.
+_WHOLE = {"episode": 15.0}
+_BIASES = "biases, for friction and limits do not scale with the motion"
+
+RECIPES: tuple[Recipe, ...] = (
+    _recipe("linear", TrainConfig(algorithm="analytic"), 6.0),
+    _recipe("linear", TrainConfig(algorithm="ppo"), 6.0),
+    _recipe("linear", TrainConfig(algorithm="sac"), 10.0),
+    _recipe("linear", TrainConfig(algorithm="td3"), 6.0),
+    _recipe("linear", TrainConfig(algorithm="tqc"), 10.0),
+    _recipe("linear", TrainConfig(algorithm="recurrent-ppo"), 10.0),
+    _recipe(
+        "friction",
+        TrainConfig(algorithm="analytic", analytic=AnalyticOptions(scale_free=False)),
+        8.0,
+        _BIASES,
+    ),
+    _recipe("friction", TrainConfig(ppo=PPOOptions(scale_free=False)), 8.0, _BIASES),
+    _recipe(
+        "laboratory",
+        TrainConfig(algorithm="analytic", analytic=AnalyticOptions(scale_free=False), **_WHOLE),
+        12.0,
+        _BIASES,
+    ),
+    _recipe("laboratory", TrainConfig(ppo=PPOOptions(scale_free=False), **_WHOLE), 12.0, _BIASES),
+    _recipe(
+        "unknown-specimen",
+        TrainConfig(algorithm="analytic", analytic=AnalyticOptions(memory=64), **_WHOLE),
+        15.0,
+        "a memory: what a specimen weighs lies in how the table answered, not in what it shows now",
+    ),
+    _recipe("unknown-specimen", TrainConfig(ppo=PPOOptions(scale_free=False), **_WHOLE), 10.0, _BIASES),
+    _recipe("unknown-specimen", TrainConfig(algorithm="recurrent-ppo", **_WHOLE), 15.0),
+    _recipe(
+        "yielding",
+        TrainConfig(algorithm="analytic", analytic=AnalyticOptions(scale_free=False), **_WHOLE),
+        12.0,
+        _BIASES,
+    ),
+    _recipe("yielding", TrainConfig(ppo=PPOOptions(scale_free=False), **_WHOLE), 12.0, _BIASES),
+    # The realistic scenario that shows the whole state, which a base law needs: from nothing, a critic
+    # cannot tell good currents from bad before the tables are lost.
+    _recipe("yielding", TrainConfig(algorithm="sac", sac=SACOptions(), **_WHOLE), 12.0),
+    _recipe("yielding", TrainConfig(algorithm="td3", td3=TD3Options(), **_WHOLE), 8.0),
+    _recipe("yielding", TrainConfig(algorithm="tqc", tqc=TQCOptions(), **_WHOLE), 12.0),
+    _recipe(
+        "yielding",
+        TrainConfig(algorithm="recurrent-ppo", recurrent_ppo=RecurrentPPOOptions(), **_WHOLE),
+        15.0,
+    ),
+)

@@ -1,0 +1,175 @@
+"""A campaign: what is done is skipped, what was killed goes on, what fails stops no other."""
+
+import json
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from agents.__main__ import main
+from agents.base_law import base_row
+from agents.campaign import Campaign, plan, plan_rows
+from agents.campaign_results import evaluate_arena
+from agents.checkpoint import checkpoints
+from agents.config import PPOOptions, TrainConfig
+from agents.evaluate import contestant
+from agents.models import ALGORITHMS
+from agents.options import ScenarioOptions
+from agents.policy_file import load_policy
+from agents.recipes import ARENAS, RECIPES, Arena, Recipe
+from agents.train import train
+from shake_env.errors import ParameterError, ScenarioError
+
+SMALL = TrainConfig(
+    ppo=PPOOptions(tables=4, rollout_steps=16, batch_size=64, epochs=1),
+    hidden=(8,),
+    episode=0.2,
+    total_steps=16_384,
+    evaluation_interval=1e9,
+    evaluation_earthquakes=1,
+    checkpoint_interval=1e-9,
+)
+GOOD = Recipe(arena="linear", config=SMALL, minutes=0.1, seeds=1)
+BAD = Recipe(
+    arena="linear",
+    label="bad",
+    config=TrainConfig(scenario=ScenarioOptions("nowhere")),
+    minutes=0.1,
+    seeds=1,
+)
+
+
+@pytest.fixture(scope="module")
+def campaigned(tmp_path_factory):
+    """A campaign that was interrupted once, beside a run that fails."""
+    folder = tmp_path_factory.mktemp("campaign")
+
+    def cut(campaign):
+        if len(checkpoints(folder / "linear/ppo/0")) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Campaign(plan([GOOD], folder), 1).run(cut)
+    assert not (folder / "linear/ppo/0/result.json").exists()
+    begun = plan([GOOD, BAD], folder)
+    assert [task.state for task in begun] == ["begun", "waiting"]
+    assert 0.0 < begun[0].share < 1.0
+    campaign = Campaign(begun, 2)
+    seen = []
+    campaign.run(lambda campaign: seen.append(campaign.seconds_left()))
+    return folder, campaign, seen
+
+
+def test_an_interrupted_campaign_ends_as_if_it_had_not_been(campaigned, tmp_path):
+    folder, campaign, seen = campaigned
+    assert campaign.tasks[0].state == "done"
+    train(SMALL, tmp_path / "whole")
+    whole, cut = (
+        load_policy(run / "policy.safetensors") for run in (tmp_path / "whole", folder / "linear/ppo/0")
+    )
+    for one, two in zip((*whole.weights, *whole.biases), (*cut.weights, *cut.biases), strict=True):
+        np.testing.assert_array_equal(one, two)
+    assert cut.card["command"] == "shake campaign --only linear/ppo"
+    assert cut.card["curve"][-1][0] == 16_384
+    assert seen[0] > seen[-1] == 0.0
+
+
+def test_a_run_that_fails_is_reported_and_stops_no_other(campaigned):
+    _, campaign, _ = campaigned
+    assert campaign.counts() == {"done": 1, "failed": 1}
+    assert list(campaign.failures()) == ["linear/bad/0"]
+    assert "nowhere" in campaign.failures()["linear/bad/0"]
+
+
+def test_what_is_done_is_done_and_another_configuration_is_left_alone(campaigned):
+    folder, _, _ = campaigned
+    assert plan([GOOD], folder)[0].state == "done"
+    changed = Recipe(arena="linear", config=TrainConfig(total_steps=99), minutes=0.1, seeds=1)
+    tasks = plan([changed], folder)
+    assert tasks[0].state == "foreign"
+    campaign = Campaign(tasks)
+    campaign.run()
+    assert "move it away" in campaign.failures()["linear/ppo/0"]
+    assert plan([GOOD], folder)[0].state == "done"
+
+
+def test_an_evaluation_holds_until_its_policies_change(campaigned, tmp_path):
+    folder = tmp_path / "campaign"
+    shutil.copytree(campaigned[0], folder)
+    arena = Arena(name="linear", options=ScenarioOptions(duration=1.0), rivals=("none",), earthquakes=2)
+    file, result, made = evaluate_arena(arena, folder, tmp_path / "results")
+    assert made
+    assert {row["controller"] for row in result["rows"]} == {"lqr", "ppo", "none"}
+    assert not evaluate_arena(arena, folder, tmp_path / "results")[2]
+    assert json.loads(file.read_text())["identity"] == result["identity"]
+    shutil.copytree(folder / "linear/ppo/0", folder / "linear/ppo/1")
+    _, result, made = evaluate_arena(arena, folder, tmp_path / "results")
+    assert made
+    assert next(row for row in result["rows"] if row["controller"] == "ppo")["runs"] == 2
+
+
+def test_a_worker_whose_campaign_is_gone_ends(tmp_path):
+    values = json.dumps(TrainConfig(**{**vars(SMALL), "total_steps": 100_000_000}).to_json())
+    code = (
+        "import subprocess, sys\n"
+        "p = subprocess.Popen([sys.executable, '-m', 'agents.campaign_worker', sys.argv[1], 'x'],"
+        " stdin=subprocess.PIPE, start_new_session=True)\n"
+        "p.stdin.write(sys.argv[2].encode()); p.stdin.close()\n"
+        "import pathlib, time\n"
+        "while not (pathlib.Path(sys.argv[1]) / 'progress.json').exists(): time.sleep(0.1)\n"
+        "print(p.pid)\n"
+    )
+    told = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "run"), values],
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    # The pipes that it inherited close when it ends: subprocess.run returned, so that it has ended.
+    assert int(told.stdout) > 0
+    assert "KeyboardInterrupt" in told.stderr
+    assert checkpoints(tmp_path / "run")
+
+
+def test_recipes_are_sound():
+    names = [recipe.name for recipe in RECIPES]
+    assert len(set(names)) == len(names)
+    arenas = {arena.name: arena for arena in ARENAS}
+    for recipe in RECIPES:
+        scenario = recipe.config.scenario.build()
+        assert recipe.config.scenario == arenas[recipe.arena].options
+        assert base_row(recipe.config.chosen.base, scenario).shape == (scenario.observation.size,)
+    for arena in ARENAS:
+        scenario = arena.options.build()
+        assert (arena.trained_on or arena.name) in {recipe.arena for recipe in RECIPES}
+        for rival in arena.rivals:
+            assert contestant(rival, scenario).name == rival
+    assert {recipe.config.algorithm for recipe in RECIPES if recipe.arena == "linear"} == set(ALGORITHMS)
+
+
+def test_seeds_stay_below_those_of_evaluation():
+    assert GOOD.with_seed(9).seed == 9
+    with pytest.raises(ParameterError, match="seed = 10"):
+        GOOD.with_seed(10)
+
+
+def test_the_plan_is_printed_with_minutes(tmp_path, capsys):
+    words = ["campaign", "--dry-run", "--folder", str(tmp_path), "--only", "linear/*", "--seeds", "2"]
+    assert main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [row["runs"] for row in found["plan"]] == [2] * len(ALGORITHMS)
+    minutes = sum(row["minutes_left"] for row in found["plan"])
+    assert found["minutes_left"] == pytest.approx(minutes / 2)
+    assert list(tmp_path.iterdir()) == []
+    assert main(words) == 0
+    assert "linear/tqc" in capsys.readouterr().out
+
+
+def test_only_names_recipes(tmp_path):
+    assert len(plan(RECIPES, tmp_path, ["linear/ppo"], 3)) == 3
+    with pytest.raises(ScenarioError, match="did you mean 'linear/ppo'"):
+        plan(RECIPES, tmp_path, ["linear/pp"])
+    assert {row["recipe"] for row in plan_rows(plan(RECIPES, tmp_path, ["*/sac"]))} == {
+        "linear/sac",
+        "yielding/sac",
+    }
