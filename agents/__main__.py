@@ -25,6 +25,7 @@ from agents.config import TrainConfig
 from agents.evaluate_command import Evaluate
 from agents.motion_command import Motion, MotionOptions, motion_earthquakes
 from agents.options import ScenarioOptions
+from agents.policy_command import Card, Export
 from agents.progress import progress_bar
 from agents.scenario_command import ShowScenario
 from agents.tune_command import Tune
@@ -211,10 +212,12 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
 COMMANDS: dict[str, Callable[..., Any]] = {
     "bench": Bench,
     "campaign": RunCampaign,
+    "card": Card,
     "compare": Compare,
     "components": Components,
     "design": Design,
     "evaluate": Evaluate,
+    "export": Export,
     "motion": Motion,
     "reproduce": Reproduce,
     "results": Results,

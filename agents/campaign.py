@@ -214,7 +214,7 @@ def plan(
 
 
 def plan_rows(tasks: Sequence[Task]) -> list[dict[str, Any]]:
-    """Return a row for each recipe of a plan: its runs, those done, the minutes left and why it is so."""
+    """Return a row for each recipe of a plan: runs, those done, minutes left and why it is so."""
     rows: dict[str, dict[str, Any]] = {}
     for task in tasks:
         row = rows.setdefault(

@@ -1,4 +1,4 @@
-"""The results of a campaign: every arena's policies and rivals under the protocol, kept while they hold."""
+"""Results of a campaign: every arena's policies and rivals under the protocol, kept while they hold."""
 
 from __future__ import annotations
 

@@ -1,0 +1,92 @@
+"""The commands ``shake export`` and ``shake card``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.console import Console
+
+from shake_env.errors import ParameterError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export:
+    """Write a policy as ONNX, for runtimes other than numpy.
+
+    Try:
+      shake export runs/mine policy.onnx
+      shake export policy.safetensors policy.onnx
+      shake export analytic linear.onnx
+    """
+
+    policy: tyro.conf.Positional[str]
+    """Run directory, policy file, or the name of a policy that ships (policy, analytic)."""
+    output: tyro.conf.Positional[Path]
+    """File to write, *.onnx."""
+    json: bool = False
+    """Print one JSON object on standard output and nothing else there."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Write, and say what the graph takes and gives."""
+        from agents.onnx_export import export_onnx
+        from agents.policy_file import load_policy
+
+        if self.output.suffix != ".onnx":
+            raise ParameterError("output", str(self.output), "must end in .onnx")
+        policy = load_policy(_file(self.policy))
+        self.output.parent.mkdir(parents=True, exist_ok=True)
+        export_onnx(policy, self.output)
+        states = 0 if policy.memory is None else policy.memory.arrays
+        console.print(
+            f"wrote {self.output}: observation (N, {policy.observation_size}) to action (N, 1)"
+        )
+        if policy.memory is not None:
+            console.print(
+                f"state: {states} inputs and outputs (N, {policy.memory.units}), zeros at first"
+            )
+        return {
+            "output": str(self.output),
+            "observation_size": policy.observation_size,
+            "states": states,
+            "units": 0 if policy.memory is None else policy.memory.units,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Card:
+    """Write a policy's card: how it was made, its learning curve, its evaluation, its limits of use.
+
+    Try:
+      shake card runs/mine
+      shake card agents/pretrained/linear-ppo.safetensors --result docs/results/evaluation_linear.json
+    """
+
+    policy: tyro.conf.Positional[Path]
+    """Run directory or policy file; the card comes to stand beside the file, as *.md and *.png."""
+    result: tuple[Path, ...] = ()
+    """Result files of shake evaluate that hold a row made of this policy."""
+    limits: str = ""
+    """Further sentences on limits of use."""
+    json: bool = False
+    """Print one JSON object on standard output and nothing else there."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Write the card."""
+        from agents.card import write_card
+
+        files = write_card(_file(str(self.policy)), self.result, self.limits)
+        for file in files:
+            console.print(f"wrote {file}")
+        return {"files": [str(file) for file in files]}
+
+
+def _file(text: str) -> Path:
+    from agents.compare import SHIPPED, shipped_policy
+
+    if text in SHIPPED:
+        return shipped_policy(text)
+    path = Path(text)
+    return path / "policy.safetensors" if path.is_dir() else path
