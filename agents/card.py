@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from matplotlib.ticker import FormatStrFormatter
+
 from agents.evaluate import digest
 from agents.figure_style import BLUE, GREY, figure_style, new_figure
 from agents.policy_file import PolicyFile, load_policy
@@ -116,7 +118,7 @@ def card_text(
         f"| code | version {card.get('version', 'unknown')} ({card.get('code') or 'unknown'}) |",
         f"| observation | {policy.observation_size} numbers at {card.get('control_rate', 0.0):g} Hz |",
         f"| network | {widths} {policy.activation}, memory: {memory} |",
-        f"| adds to its base law | {config_base(config)}, at most {policy.authority:g} of full current |",
+        f"| base law | {config_base(config)}, corrected by {policy.authority:g} of the limit |",
         f"| SHA-256 | `{sha}` |",
         "",
     ]
@@ -124,8 +126,9 @@ def card_text(
     if trained:
         lines += [
             f"Training took {trained['steps']:,} control periods, {trained['seconds'] / 60.0:.1f} "
-            f"minutes in the last process, and ended at {trained['cost_ratio']:.4f} of the reference's cost on "
-            "the evaluation earthquakes of training.",
+            "minutes in the last process, and ended at "
+            f"{trained['cost_ratio']:.4f} of the reference's cost on the evaluation earthquakes "
+            "of training.",
             "",
         ]
     if figure is not None:
@@ -206,6 +209,8 @@ def draw_curve(curve: Sequence[Sequence[float]], file: Path) -> None:
         axes.axhline(1.0, color=GREY, linewidth=1.0, linestyle=(0, (4, 2)))
         if max(row[1] for row in curve) > 3.0:
             axes.set_yscale("log")
+            for which in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
+                which(FormatStrFormatter("%g"))
         axes.set_xlabel("control periods of all tables [million]")
         axes.set_ylabel("cost / reference [-]")
         figure.savefig(file, metadata={"Software": None})

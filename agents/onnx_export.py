@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from agents.memory_units import GatedUnit, MemoryUnit
 from agents.policy_file import PolicyFile
-from shake_env.errors import ShakeError
+from shake_env.errors import PolicyFileError, ShakeError
 
 OPSET = 17
 IR_VERSION = 8  # of 2022, that goes with this opset: older runtimes read it, too
@@ -67,7 +67,11 @@ def export_onnx(policy: PolicyFile, path: Path) -> Path:
     ------
     ShakeError
         If onnx is not installed.
+    PolicyFileError
+        If the network reads more than the observation, such as what an estimator shows.
     """
+    if policy.matrix.shape[1] != policy.observation_size:
+        raise PolicyFileError("policy", policy.matrix.shape, "an estimator's part has no ONNX form yet")
     try:
         import onnx
         from onnx import TensorProto, helper, numpy_helper

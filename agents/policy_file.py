@@ -93,7 +93,7 @@ class PolicyFile:
         if self.memory is not None:
             past = rest(self.memory, hidden.shape[:-1])
             if state is not None:
-                past = state
+                past = tuple(state[: self.memory.arrays])
                 if episode_start is not None:
                     begun = np.reshape(episode_start, hidden.shape[:-1])[..., None]
                     past = tuple(np.where(begun, np.float32(0.0), part) for part in past)

@@ -1,7 +1,7 @@
 """What a campaign trains: a configuration for each scenario and algorithm, and who is run beside them.
 
 A recipe is the algorithm's defaults (see `config`) with as few deviations as its scenario needs, each
-with its reason. Minutes are for planning: one process on one core.
+with its reason. Minutes are for planning: one process on one core, from the rate of its first updates.
 """
 
 from __future__ import annotations
@@ -98,49 +98,49 @@ _WHOLE = {"episode": 15.0}
 _BIASES = "biases, for friction and limits do not scale with the motion"
 
 RECIPES: tuple[Recipe, ...] = (
-    _recipe("linear", TrainConfig(algorithm="analytic"), 6.0),
-    _recipe("linear", TrainConfig(algorithm="ppo"), 6.0),
-    _recipe("linear", TrainConfig(algorithm="sac"), 10.0),
-    _recipe("linear", TrainConfig(algorithm="td3"), 6.0),
-    _recipe("linear", TrainConfig(algorithm="tqc"), 10.0),
-    _recipe("linear", TrainConfig(algorithm="recurrent-ppo"), 10.0),
+    _recipe("linear", TrainConfig(algorithm="analytic"), 2.0),
+    _recipe("linear", TrainConfig(algorithm="ppo"), 4.0),
+    _recipe("linear", TrainConfig(algorithm="sac"), 8.0),
+    _recipe("linear", TrainConfig(algorithm="td3"), 4.0),
+    _recipe("linear", TrainConfig(algorithm="tqc"), 8.0),
+    _recipe("linear", TrainConfig(algorithm="recurrent-ppo"), 6.0),
     _recipe(
         "friction",
         TrainConfig(algorithm="analytic", analytic=AnalyticOptions(scale_free=False)),
-        8.0,
+        6.0,
         _BIASES,
     ),
-    _recipe("friction", TrainConfig(ppo=PPOOptions(scale_free=False)), 8.0, _BIASES),
+    _recipe("friction", TrainConfig(ppo=PPOOptions(scale_free=False)), 4.0, _BIASES),
     _recipe(
         "laboratory",
         TrainConfig(algorithm="analytic", analytic=AnalyticOptions(scale_free=False), **_WHOLE),
-        12.0,
+        17.0,
         _BIASES,
     ),
-    _recipe("laboratory", TrainConfig(ppo=PPOOptions(scale_free=False), **_WHOLE), 12.0, _BIASES),
+    _recipe("laboratory", TrainConfig(ppo=PPOOptions(scale_free=False), **_WHOLE), 4.0, _BIASES),
     _recipe(
         "unknown-specimen",
         TrainConfig(algorithm="analytic", analytic=AnalyticOptions(memory=64), **_WHOLE),
-        15.0,
+        5.0,
         "a memory: what a specimen weighs lies in how the table answered, not in what it shows now",
     ),
-    _recipe("unknown-specimen", TrainConfig(ppo=PPOOptions(scale_free=False), **_WHOLE), 10.0, _BIASES),
-    _recipe("unknown-specimen", TrainConfig(algorithm="recurrent-ppo", **_WHOLE), 15.0),
+    _recipe("unknown-specimen", TrainConfig(ppo=PPOOptions(scale_free=False), **_WHOLE), 4.0, _BIASES),
+    _recipe("unknown-specimen", TrainConfig(algorithm="recurrent-ppo", **_WHOLE), 6.0),
     _recipe(
         "yielding",
         TrainConfig(algorithm="analytic", analytic=AnalyticOptions(scale_free=False), **_WHOLE),
         12.0,
         _BIASES,
     ),
-    _recipe("yielding", TrainConfig(ppo=PPOOptions(scale_free=False), **_WHOLE), 12.0, _BIASES),
+    _recipe("yielding", TrainConfig(ppo=PPOOptions(scale_free=False), **_WHOLE), 4.0, _BIASES),
     # The realistic scenario that shows the whole state, which a base law needs: from nothing, a critic
     # cannot tell good currents from bad before the tables are lost.
-    _recipe("yielding", TrainConfig(algorithm="sac", sac=SACOptions(), **_WHOLE), 12.0),
-    _recipe("yielding", TrainConfig(algorithm="td3", td3=TD3Options(), **_WHOLE), 8.0),
-    _recipe("yielding", TrainConfig(algorithm="tqc", tqc=TQCOptions(), **_WHOLE), 12.0),
+    _recipe("yielding", TrainConfig(algorithm="sac", sac=SACOptions(), **_WHOLE), 8.0),
+    _recipe("yielding", TrainConfig(algorithm="td3", td3=TD3Options(), **_WHOLE), 5.0),
+    _recipe("yielding", TrainConfig(algorithm="tqc", tqc=TQCOptions(), **_WHOLE), 8.0),
     _recipe(
         "yielding",
         TrainConfig(algorithm="recurrent-ppo", recurrent_ppo=RecurrentPPOOptions(), **_WHOLE),
-        15.0,
+        6.0,
     ),
 )

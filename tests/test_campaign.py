@@ -26,7 +26,7 @@ SMALL = TrainConfig(
     ppo=PPOOptions(tables=4, rollout_steps=16, batch_size=64, epochs=1),
     hidden=(8,),
     episode=0.2,
-    total_steps=16_384,
+    total_steps=8_192,
     evaluation_interval=1e9,
     evaluation_earthquakes=1,
     checkpoint_interval=1e-9,
@@ -72,7 +72,7 @@ def test_an_interrupted_campaign_ends_as_if_it_had_not_been(campaigned, tmp_path
     for one, two in zip((*whole.weights, *whole.biases), (*cut.weights, *cut.biases), strict=True):
         np.testing.assert_array_equal(one, two)
     assert cut.card["command"] == "shake campaign --only linear/ppo"
-    assert cut.card["curve"][-1][0] == 16_384
+    assert cut.card["curve"][-1][0] == 8_192
     assert seen[0] > seen[-1] == 0.0
 
 
