@@ -40,7 +40,13 @@ def evaluate_arena(
         known = json.loads(file.read_text(encoding="utf-8"))
         if known.get("identity") == wanted:
             return file, known, False
-    result = evaluate(scenario, rows, earthquakes=arena.earthquakes, on_progress=on_progress)
+    result = evaluate(
+        scenario,
+        rows,
+        earthquakes=arena.earthquakes,
+        repeats=arena.fidelity,
+        on_progress=on_progress,
+    )
     result |= {"arena": arena.name, "identity": wanted}
     write_result(result, file)
     return file, result, True

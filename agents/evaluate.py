@@ -29,7 +29,8 @@ from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquake
 from shake_env.scenario import Scenario
 
 FORMAT = "shake-evaluation-1"
-LANES = 64  # earthquakes side by side: their trajectories are held while figures are made of them
+LANES = 64  # earthquakes side by side where figures are made of their trajectories, which need memory
+MANY_LANES = 512  # where they are not
 
 
 @dataclass(frozen=True)
@@ -236,7 +237,8 @@ def _episodes(
     repeats: bool,
     told: Callable[[float], None],
 ) -> Episodes:
-    parts = [quakes[i : i + LANES] for i in range(0, len(quakes), LANES)]
+    lanes = LANES if repeats else MANY_LANES
+    parts = [quakes[i : i + lanes] for i in range(0, len(quakes), lanes)]
     work = each.runs * len(parts)
     rows: list[list[dict[str, Any]]] = []
     for run in range(each.runs):

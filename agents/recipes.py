@@ -24,6 +24,7 @@ class Arena:
     options: ScenarioOptions
     rivals: tuple[str, ...]  # classical controllers with the same information; the reference is implied
     earthquakes: int = 200
+    fidelity: bool = True  # whether response spectrum, drift and energy are compared: most of the time
     trained_on: str | None = None  # arena whose policies it takes; None: its own
 
 
@@ -75,6 +76,7 @@ ARENAS: tuple[Arena, ...] = (
         options=ScenarioOptions("unknown-specimen"),
         rivals=("lqg", "lqg-accommodating", "adaptive", "multi-model", "robust", "none"),
         earthquakes=2000,
+        fidelity=False,
     ),
     Arena(
         name="yielding",

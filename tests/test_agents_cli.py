@@ -95,7 +95,13 @@ def test_unknown_options_exit_with_2_and_say_so():
     assert "--storeys" in result.stderr
 
 
-@pytest.mark.parametrize("command", ["compare", "design", "motion", "reproduce", "train", "validate"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "campaign", "card", "compare", "design", "evaluate", "export", "motion", "reproduce", "results",
+        "train", "validate",
+    ],
+)  # fmt: skip
 def test_help_teaches_by_example(command, capsys):
     with pytest.raises(SystemExit) as exit_info:
         main([command, "--help"])
