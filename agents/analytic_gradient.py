@@ -257,7 +257,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
 
         window = self.tables.roll(act, self.window)
         carried = memory
-        look(window.observation)
+        look(window.shown)
         self.memory = None if carried is None else carried.detach()
         steps = torch.arange(self.window, device=self.device)
         discount = (self.gamma**steps).to(window.rewards.dtype)

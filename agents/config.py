@@ -103,7 +103,8 @@ class AnalyticOptions:
     scale_free: bool = True
     """Whether the actor has no biases (see PPO's); without effect on a policy with memory."""
     base: BaseLaw = "none"
-    """Linear law that the policy corrects: none, flow or lqr; the full state only."""
+    """Law that the policy corrects: none; on the full state flow, lqr or preview-lqr; lqg or
+    lqg-accommodating, whose estimate the policy is then shown as well."""
     authority: float = 1.0
     """What the policy can add to that law, as a fraction of the current limit."""
     precision: Literal["float64", "float32"] = "float64"

@@ -86,6 +86,7 @@ def export_policy(model: BaseAlgorithm, env: ShakeTableVecEnv, card: dict[str, A
         card=card,
         direct=direct,
         memory=memory,
+        law=env.law,
     )
 
 

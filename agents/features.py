@@ -6,16 +6,18 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
+from baselines.estimator_model import DISTURBANCES
 from baselines.lqr import observable_states
 from shake_env.motion import FilteredNoise
 from shake_env.parameters import FloatArray
-from shake_env.plant import LOAD_PRESSURE, SPOOL_POSITION, TABLE_VELOCITY
+from shake_env.plant import LOAD_PRESSURE, REFERENCE_CURRENT, SPOOL_POSITION, TABLE_VELOCITY
 from shake_env.scenario import Scenario
 
 
-def feature_matrix(scenario: Scenario) -> FloatArray:
+def feature_matrix(scenario: Scenario, believed: bool = False) -> FloatArray:
     """Return the fixed linear map (features, n) from observation to network input.
 
     An invertible map of what can be observed, so that no information is added or lost, into coordinates
@@ -34,7 +36,12 @@ def feature_matrix(scenario: Scenario) -> FloatArray:
         The table's velocity once more, so steep that its clip has the shape of the friction force.
     Preview
         Each sample becomes its difference from the one before it; the first, from the target now.
+    Belief
+        Where an estimator's beliefs follow the observation (`believed`; see `EstimatedLaw`), its full
+        state is taken as the full state is, the disturbances and the law's action by their sizes.
     """
+    if believed:
+        return block_diag(feature_matrix(scenario), _believed(scenario))
     shown = scenario.observation
     matrix = np.eye(shown.size)
     kept = np.arange(shown.size)
@@ -61,12 +68,32 @@ def feature_matrix(scenario: Scenario) -> FloatArray:
     return matrix if steep is None else np.vstack([matrix, steep])
 
 
-def feature_sizes(scenario: Scenario) -> FloatArray:
+def feature_sizes(scenario: Scenario, believed: bool = False) -> FloatArray:
     """Return what each clipped feature (features,) of :func:`feature_matrix` is multiplied by."""
+    steep = scenario.nonlinearity.friction.active
     sizes = np.ones(len(feature_matrix(scenario)))
     if _steep_velocity(scenario) is not None:
         sizes[-1] = 1.0 / CLIP
+    if believed:
+        more = np.ones(len(_believed(scenario)))
+        more[len(more) - steep :] = 1.0 / CLIP
+        sizes = np.concatenate([sizes, more])
     return sizes
+
+
+def _believed(scenario: Scenario) -> FloatArray:
+    """Return the map (features, e) from what an `EstimatedLaw` shows."""
+    layout, motion, friction = scenario.plant.layout, scenario.motion, scenario.nonlinearity.friction
+    matrix = block_diag(_full_state(scenario), np.eye(DISTURBANCES) / ERROR_SHARE, 1.0)
+    matrix[-1] *= scenario.current_limit / REFERENCE_CURRENT
+    if isinstance(motion, FilteredNoise) and motion.amplitude > 0.0:
+        matrix /= motion.amplitude
+    if not friction.active:
+        return matrix
+    row = np.zeros(matrix.shape[1])
+    place = layout.table_velocity
+    row[place] = CLIP * scenario.plant.state_scale[place] / (2.0 * friction.smoothing_velocity)
+    return np.vstack([matrix, row])
 
 
 def _steep_velocity(scenario: Scenario) -> FloatArray | None:

@@ -113,8 +113,8 @@ def new_model(config: TrainConfig, scenario: Scenario, env: ShakeTableVecEnv) ->
         "activation_fn": torch.nn.ReLU,
         "features_extractor_class": LinearFeatures,
         "features_extractor_kwargs": {
-            "matrix": feature_matrix(scenario).tolist(),
-            "sizes": feature_sizes(scenario).tolist(),
+            "matrix": feature_matrix(scenario, env.law is not None).tolist(),
+            "sizes": feature_sizes(scenario, env.law is not None).tolist(),
         },
     }
     gamma = config.discount(scenario.control_period)

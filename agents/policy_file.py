@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from agents.estimated_law import EstimatedLaw
 from agents.memory_units import PARTS, UNITS, GatedUnit, MemoryUnit, Weights, rest
 from shake_env.errors import PolicyFileError
 from shake_env.scenario import Scenario
@@ -24,6 +25,7 @@ FORMAT = "shake-policy-1"
 _REMEDY = "give a policy file written by 'shake train' (policy.safetensors)"
 _ACTIVATIONS = ("tanh", "relu")
 _OUTPUTS = ("clip", "tanh")
+LAW = {"advance": 2, "gains": 3, "show": 2, "begins": 1}  # arrays of an `EstimatedLaw`, and their axes
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,8 @@ class PolicyFile:
     layers of weights and biases with an activation between them; where the policy is direct, what enters
     the first layer also enters the last, behind its other inputs. The output is clipped to [-1, 1]
     (Gaussian policies) or passed through tanh (SAC). The action is
-    ``base @ observation + authority * output``, clipped to [-1, 1].
+    ``base @ observation + authority * output``, clipped to [-1, 1]. With a law behind an estimator, what
+    that shows stands behind the observation in all of this.
 
     Raises
     ------
@@ -53,11 +56,15 @@ class PolicyFile:
     card: dict[str, Any]  # how it was made: scenario, algorithm, command, seed, evaluation
     direct: bool = False  # whether the last layer also reads what the first does
     memory: MemoryUnit | None = None
+    law: EstimatedLaw | None = None
 
     def __post_init__(self) -> None:
         _require(self.activation in _ACTIVATIONS, "activation", self.activation, _REMEDY)
         _require(self.output in _OUTPUTS, "output", self.output, _REMEDY)
         _require(len(self.weights) == len(self.biases) > 0, "layers", len(self.weights), _REMEDY)
+        if self.law is not None:
+            read = self.law.observation_size
+            _require(read == self.observation_size, "law inputs", read, _REMEDY)
         width = self.matrix.shape[0]
         if self.memory is not None:
             taken = self.memory.input_weight.shape[1]
@@ -78,7 +85,7 @@ class PolicyFile:
     @property
     def observation_size(self) -> int:
         """Length n of the observation it reads."""
-        return int(self.matrix.shape[1])
+        return int(self.matrix.shape[1]) - (self.law.shown if self.law else 0)
 
     def predict(
         self,
@@ -87,7 +94,10 @@ class PolicyFile:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
-        """Return the action (..., 1) for an observation (..., n), and the memory in a tuple."""
+        """Return the action (..., 1) for an observation (..., n), and the memories in a tuple."""
+        if self.law is not None:
+            law_state = None if state is None else state[-2:]
+            age, known, observation = _look(self.law, observation, law_state, episode_start)
         hidden = np.clip(observation @ self.matrix.T, -self.feature_clip, self.feature_clip)
         kept: tuple[Any, ...] | None = None
         if self.memory is not None:
@@ -108,7 +118,10 @@ class PolicyFile:
                 hidden = np.tanh(hidden) if self.activation == "tanh" else np.maximum(hidden, 0.0)
         output = np.tanh(hidden) if self.output == "tanh" else np.clip(hidden, -1.0, 1.0)
         action = (observation @ self.base)[..., None] + self.authority * output
-        return np.clip(action, -1.0, 1.0).astype(np.float32), kept
+        action = np.clip(action, -1.0, 1.0)
+        if self.law is not None:
+            kept = (*(kept or ()), self.law.keep(known, action[..., 0].astype(float)), age + 1)
+        return action.astype(np.float32), kept
 
     def check(self, scenario: Scenario) -> None:
         """Raise PolicyFileError unless the policy was made for this observation and control rate."""
@@ -133,6 +146,7 @@ class PolicyFile:
             "layers": len(self.weights),
             "direct": self.direct,
             "memory": None if self.memory is None else self.memory.kind,
+            "law_actions": 0 if self.law is None else self.law.actions,
             "card": self.card,
         }
         arrays = {"matrix": self.matrix, "base": self.base}
@@ -140,6 +154,8 @@ class PolicyFile:
             arrays[f"weight.{number}"], arrays[f"bias.{number}"] = weight, bias
         for name in () if self.memory is None else PARTS:
             arrays[f"memory.{name}"] = getattr(self.memory, name)
+        for name in () if self.law is None else LAW:
+            arrays[f"law.{name}"] = getattr(self.law, name)
         partial = path.with_name(path.name + ".partial")
         contiguous = {name: np.ascontiguousarray(a) for name, a in arrays.items()}
         partial.write_bytes(save(contiguous, {"shake": json.dumps(header, sort_keys=True)}))
@@ -177,6 +193,9 @@ def load_policy(path: Path) -> PolicyFile:
                     for name, d in zip(PARTS, (2, 2, 1, 1), strict=True)
                 )
             )
+        law, actions = None, int(header.get("law_actions", 0))
+        if actions:
+            law = _law({name: arrays[f"law.{name}"] for name in LAW}, actions)
         return PolicyFile(
             matrix=_float32(arrays["matrix"], 2),
             feature_clip=float(header["feature_clip"]),
@@ -189,11 +208,47 @@ def load_policy(path: Path) -> PolicyFile:
             card=dict(header["card"]),
             direct=bool(header.get("direct", False)),
             memory=memory,
+            law=law,
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         if isinstance(error, PolicyFileError):
             raise
         raise PolicyFileError("policy file", str(path), f"lacks {error}: {_REMEDY}") from error
+
+
+def _look(
+    law: EstimatedLaw,
+    observation: NDArray[np.float32],
+    state: tuple[Any, ...] | None,
+    episode_start: NDArray[np.bool_] | None,
+) -> tuple[NDArray[np.int_], NDArray[np.float64], NDArray[np.float32]]:
+    """Return periods since the start (...), what a law knows and the observation with what it shows."""
+    lead = observation.shape[:-1]
+    age = np.zeros(lead, dtype=int) if state is None else state[1]
+    past = np.zeros((*lead, law.size)) if state is None else state[0]
+    if state is not None and episode_start is not None:
+        begun = np.reshape(episode_start, lead)
+        age, past = np.where(begun, 0, age), np.where(begun[..., None], 0.0, past)
+    known, shown = law.look(past, observation.astype(float), age)
+    return age, known, np.concatenate([observation, shown.astype(np.float32)], axis=-1)
+
+
+def _law(arrays: dict[str, NDArray[Any]], actions: int) -> EstimatedLaw:
+    for name, dimensions in LAW.items():
+        array = arrays[name]
+        fits = array.ndim == dimensions and array.dtype == np.float64 and array.size > 0
+        _require(fits, f"law {name}", (array.shape, str(array.dtype)), "must be float64")
+        _require(bool(np.isfinite(array).all()), f"law {name}", "nan or inf", _REMEDY)
+    law = EstimatedLaw(**arrays, actions=actions)
+    rows, estimates, readings = len(law.advance), *law.gains.shape[1:]
+    fits = (
+        law.advance.shape[1] == law.show.shape[1]
+        and law.begins.shape == (rows,)
+        and law.observation_size > 0
+        and 0 < actions <= rows - readings - estimates
+    )
+    _require(fits, "law shape", law.advance.shape, _REMEDY)
+    return law
 
 
 def _float32(array: NDArray[Any], dimensions: int) -> Weights:

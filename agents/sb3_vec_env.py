@@ -7,13 +7,15 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
+from agents.estimated_law import EstimatedLaw
 from shake_env.env import single_spaces
-from shake_env.limits import REASONS
+from shake_env.limits import OBSERVATION_BOUND, REASONS
 from shake_env.measurement import SensorMemory
 from shake_env.parameters import FloatArray
 from shake_env.scenario import Scenario
@@ -36,6 +38,7 @@ class ShakeTableVecEnv(VecEnv):
         Number of tables N.
     base
         (n,) linear law that the actions correct, fraction of the current limit per entry of the
+        observation; or one behind an estimator, and what that believes is then shown behind each
         observation; None for no such law.
     authority
         What action 1 adds to it, as a fraction of the current limit.
@@ -48,21 +51,30 @@ class ShakeTableVecEnv(VecEnv):
         scenario: Scenario,
         num_envs: int,
         *,
-        base: FloatArray | None = None,
+        base: FloatArray | EstimatedLaw | None = None,
         authority: float = 1.0,
         reward_scale: float = 1.0,
     ) -> None:
         self.scenario = scenario
-        self.base = np.zeros(scenario.observation.size) if base is None else base
+        self.law = base if isinstance(base, EstimatedLaw) else None
+        if isinstance(base, EstimatedLaw):  # its own action comes last of what it shows
+            self.base = np.eye(1, size := scenario.observation.size + base.shown, size - 1)[0]
+        else:
+            self.base = np.zeros(scenario.observation.size) if base is None else base
         self.authority = authority
         self.reward_scale = reward_scale
         self.simulation = Simulation(scenario, num_envs)
         self.render_mode = None
-        super().__init__(num_envs, *single_spaces(scenario))
+        _, actions = single_spaces(scenario)
+        bound, shown = OBSERVATION_BOUND, (len(self.base),)
+        super().__init__(num_envs, spaces.Box(-bound, bound, shown, np.float32), actions)
         self._streams: list[np.random.Generator | None] = [None] * num_envs
         self._action = np.zeros(num_envs)
         self._returns = np.zeros(num_envs)
         self._observation = np.zeros((num_envs, scenario.observation.size), dtype=np.float32)
+        self._shown = np.zeros((num_envs, len(self.base)), dtype=np.float32)
+        self.law_memory = np.zeros((num_envs, self.law.size if self.law else 0))
+        self._known = self.law_memory  # what the law knows at this observation
 
     def reset(self) -> NDArray[np.float32]:
         """Start an episode in every lane; seeds given to ``seed`` are used once."""
@@ -73,12 +85,14 @@ class ShakeTableVecEnv(VecEnv):
         self._reset_options()
         self._returns[:] = 0.0
         self._observation = self._start(range(self.num_envs))
-        return self._observation.copy()
+        return self._look().copy()
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Take the actions (N, 1) of the next period."""
         correction = checked_action(actions, (self.num_envs, 1))[:, 0]
-        self._action = self._observation @ self.base + self.authority * correction
+        self._action = self._shown @ self.base + self.authority * correction
+        if self.law is not None:
+            self.law_memory = self.law.keep(self._known, np.clip(self._action, -1.0, 1.0))
 
     def step_wait(
         self,
@@ -89,18 +103,32 @@ class ShakeTableVecEnv(VecEnv):
         self._returns += result.reward
         done = result.terminated | result.truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        self._observation = observation
+        shown = self._look()
         if done.any():
             lanes = np.flatnonzero(done)
             for lane in lanes:
                 infos[lane] = self._final_info(result, int(lane))
             self._returns[lanes] = 0.0
             observation[lanes] = self._start(lanes.tolist())
-        self._observation = observation
-        return observation.copy(), (self.reward_scale * result.reward).astype(np.float32), done, infos
+            shown = self._look()
+        return shown.copy(), (self.reward_scale * result.reward).astype(np.float32), done, infos
+
+    def _look(self) -> NDArray[np.float32]:
+        """Return what is shown (N, n): the observation, and behind it what the law believes."""
+        if self.law is None:
+            self._shown = self._observation
+            return self._shown
+        self._known, believed = self.law.look(
+            self.law_memory, self._observation.astype(float), self.simulation.step_count
+        )
+        bounded = np.clip(np.nan_to_num(believed), -OBSERVATION_BOUND, OBSERVATION_BOUND)
+        self._shown = np.concatenate([self._observation, bounded.astype(np.float32)], axis=-1)
+        return self._shown
 
     def _final_info(self, result: StepResult, lane: int) -> dict[str, Any]:
         return {
-            "terminal_observation": result.observation[lane].copy(),
+            "terminal_observation": self._shown[lane].copy(),
             "TimeLimit.truncated": bool(result.truncated[lane]),
             **self._episode_info(lane, int(result.outcome.broken[lane])),
         }
@@ -117,12 +145,13 @@ class ShakeTableVecEnv(VecEnv):
         return info
 
     def _start(self, lanes: Sequence[int]) -> NDArray[np.float32]:
+        self.law_memory[list(lanes)] = 0.0
         streams = [episode_stream(stream) for lane in lanes if (stream := self._streams[lane])]
         return self.simulation.start(lanes, streams)
 
     @property
     def observation(self) -> NDArray[np.float32]:
-        """What the tables show now, (N, n)."""
+        """What the tables show now, (N, n), without what a law believes of it."""
         return self._observation.copy()
 
     def skip(
@@ -134,6 +163,7 @@ class ShakeTableVecEnv(VecEnv):
         steps: NDArray[np.int_],
         returns: FloatArray,
         broken: NDArray[np.int_],
+        law_memory: FloatArray | None = None,
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Go on from where the tables were taken by a copy of them, as learning through the plant does.
 
@@ -149,6 +179,8 @@ class ShakeTableVecEnv(VecEnv):
             (N,) sum of the true rewards over them.
         broken
             (N,) code of the limit that ended the episode, or 0.
+        law_memory
+            (N, M) of the law behind an estimator, before it sees the observation.
 
         Returns
         -------
@@ -167,9 +199,11 @@ class ShakeTableVecEnv(VecEnv):
         for lane in lanes:
             infos[lane] = self._episode_info(int(lane), int(broken[lane]))
         self._returns[lanes] = 0.0
+        if law_memory is not None:
+            self.law_memory = law_memory
         if len(lanes):
             self._observation[lanes] = self._start(lanes.tolist())
-        return self._observation.copy(), done, infos
+        return self._look().copy(), done, infos
 
     def stagger(self) -> None:
         """Shorten the first episode of each lane, so that they come to stand at different places."""
@@ -184,6 +218,7 @@ class ShakeTableVecEnv(VecEnv):
             "streams": copy.deepcopy(self._streams),
             "returns": self._returns.copy(),
             "observation": self._observation.copy(),
+            "law_memory": self.law_memory.copy(),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -192,6 +227,8 @@ class ShakeTableVecEnv(VecEnv):
         self._streams = copy.deepcopy(snapshot["streams"])
         self._returns = snapshot["returns"].copy()
         self._observation = snapshot["observation"].copy()
+        self.law_memory = snapshot.get("law_memory", self.law_memory).copy()
+        self._look()
 
     def close(self) -> None:
         """Release nothing: there are no workers."""

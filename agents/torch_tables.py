@@ -37,6 +37,7 @@ class Window:
 
     rewards: torch.Tensor  # (H, N) times the environment's reward scale; carries the gradient
     observation: torch.Tensor  # (N, n) at the window's end; carries the gradient
+    shown: torch.Tensor  # (N, n + e) with what a law behind an estimator believes behind it
     ends: torch.Tensor  # (N,) control periods that count, 1 to H
     terminated: torch.Tensor  # (N,) a limit was broken at `ends`
     steps: NDArray[np.int_]  # (N,) `ends` in numpy
@@ -44,6 +45,7 @@ class Window:
     broken: NDArray[np.int_]  # (N,) code of the broken limit, or 0
     state: torch.Tensor  # (N, states) at the window's end
     memory: SensorMemory  # then
+    law_memory: torch.Tensor | None  # (N, M) of that law then, before it sees the observation
 
 
 class TorchTables:
@@ -68,8 +70,8 @@ class TorchTables:
     ) -> None:
         self.env = env
         self.like = torch.zeros(1, dtype=dtype, device=device)
-        # A base law is a row over the observation; one with a memory of its own would be called here.
         self._base = as_like(env.base, self.like) if np.any(env.base) else None
+        self._law = None if env.law is None else env.law.like(self.like)
         self._model: TableModel | None = None
         sensors = env.scenario.sensing.sensors or ()
         self._measures_floors = any(s.signal == FLOOR_ACCELERATIONS for s in sensors)
@@ -97,11 +99,15 @@ class TorchTables:
         state = as_like(simulation.state, self.like)
         memory = simulation.memory.like(self.like)
         observation = as_like(self.env.observation, self.like)
+        law_memory = None if self._law is None else as_like(self.env.law_memory, self.like)
         kept = torch.ones(self.env.num_envs, dtype=torch.bool, device=self.like.device)
         responses: list[PeriodResponse] = []
         currents: list[torch.Tensor] = []
         for t in range(steps):
-            action = self._action(act(observation), observation)
+            shown, known = self._look(observation, law_memory, t)
+            action = self._action(act(shown), shown)
+            if self._law is not None:
+                law_memory = self._law.keep(known, action)
             current = model.current_limit * action
             period = _row(ground, t)
             response = model.dynamics.control_step(state, current, period.drive)
@@ -117,9 +123,8 @@ class TorchTables:
             *(torch.stack([getattr(r, f.name) for r in responses]) for f in fields(PeriodResponse))
         )
         outcome = model.judge(stacked, torch.stack(currents), ground)
-        return self._window(
-            outcome.cost.total + outcome.soft_cost, outcome.broken, observation, state, memory
-        )
+        ends = (observation, self._look(observation, law_memory, steps)[0], state, memory, law_memory)
+        return self._window(outcome.cost.total + outcome.soft_cost, outcome.broken, *ends)
 
     def commit(
         self, window: Window
@@ -139,14 +144,25 @@ class TorchTables:
             steps=window.steps,
             returns=window.returns,
             broken=window.broken,
+            law_memory=None if window.law_memory is None else _numpy(window.law_memory),
         )
 
-    def _action(self, correction: torch.Tensor, observation: torch.Tensor) -> torch.Tensor:
+    def _look(
+        self, observation: torch.Tensor, law_memory: torch.Tensor | None, t: int
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return what the policy is shown t periods into the window, and what the law knows then."""
+        if self._law is None:
+            return observation, observation
+        age = self.env.simulation.step_count + t
+        known, believed = self._law.look(law_memory, observation, age)
+        return torch.cat([observation, believed], dim=-1), known
+
+    def _action(self, correction: torch.Tensor, shown: torch.Tensor) -> torch.Tensor:
         """Return the action within [-1, 1]."""
         action = self.env.authority * correction.to(self.like.dtype).clip(-1.0, 1.0)
         if self._base is None:
             return action
-        return (observation @ self._base + action).clip(-1.0, 1.0)
+        return (shown @ self._base + action).clip(-1.0, 1.0)
 
     @staticmethod
     @torch.no_grad()
@@ -162,8 +178,10 @@ class TorchTables:
         cost: torch.Tensor,
         codes: torch.Tensor,
         observation: torch.Tensor,
+        shown: torch.Tensor,
         state: torch.Tensor,
         memory: SensorMemory,
+        law_memory: torch.Tensor | None,
     ) -> Window:
         simulation, scale = self.env.simulation, self.env.reward_scale
         broken = codes.cpu().numpy()  # (H, N)
@@ -182,6 +200,7 @@ class TorchTables:
         return Window(
             rewards=-scale * total,
             observation=observation,
+            shown=shown,
             ends=torch.as_tensor(ends, device=self.like.device),
             terminated=torch.as_tensor(terminated, device=self.like.device),
             steps=ends,
@@ -189,6 +208,7 @@ class TorchTables:
             broken=np.where(terminated, broken[last], 0),
             state=state,
             memory=memory,
+            law_memory=law_memory,
         )
 
     def _ahead(self, steps: int) -> tuple[GroundPeriod, torch.Tensor]:

@@ -18,7 +18,7 @@ from stable_baselines3.common.logger import configure
 from threadpoolctl import threadpool_limits
 
 import shake_env
-from agents.base_law import base_row
+from agents.base_law import base_law
 from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.code_version import code_version
 from agents.config import TrainConfig, read_config
@@ -132,7 +132,7 @@ def _tables(config: TrainConfig, scenario: Scenario) -> ShakeTableVecEnv:
     return ShakeTableVecEnv(
         training_scenario(config, scenario),
         chosen.tables,
-        base=base_row(chosen.base, scenario),
+        base=base_law(chosen.base, scenario),
         authority=chosen.authority,
         # Values are then of the size of a stage cost. Unscaled they are 1 / (1 - gamma) times that, and
         # the value function spends thousands of steps growing while the policy follows its noise.

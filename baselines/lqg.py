@@ -86,11 +86,11 @@ class EstimatedState:
         if estimator is None:
             estimator = KalmanFilter.of(EstimatorModel.of(scenario, ModelError.of(scenario)))
         self.estimator = estimator
-        self._law = law
+        self.law = law
         self._shown = scenario.observation
         self._layout = scenario.plant.layout
-        self._recursion = ReferenceRecursion.of(scenario)
-        self._ahead = foresight(scenario, full_state(scenario))[0]
+        self.recursion = ReferenceRecursion.of(scenario)
+        self.foresight = foresight(scenario, full_state(scenario))[0]
 
     def predict(
         self,
@@ -103,7 +103,7 @@ class EstimatedState:
         seen = np.asarray(observation, dtype=float)
         memory = self._present(seen, None if state is None else state[0], episode_start)
         believed = self._look_ahead(seen, memory).astype(np.float32)
-        action, inner = self._law.predict(believed, memory.inner, episode_start, deterministic)
+        action, inner = self.law.predict(believed, memory.inner, episode_start, deterministic)
         given = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
         actions = np.concatenate([memory.actions[..., 1:], given], axis=-1)
         return action, (replace(memory, actions=actions, inner=inner),)
@@ -128,7 +128,7 @@ class EstimatedState:
                 shown = seen[..., self._shown.last_action]
                 actions = np.concatenate([actions[..., :-1], shown], axis=-1)
             table = self.estimator.predict(last.table, actions)
-            reference = self._recursion.advance(last.reference, last.ground, ground)
+            reference = self.recursion.advance(last.reference, last.ground, ground)
             age = last.age + 1
             if episode_start is not None:
                 fresh = np.reshape(np.asarray(episode_start, dtype=bool), lead)
@@ -146,7 +146,7 @@ class EstimatedState:
         model, w = self.estimator.model, self._layout.filter_states
         preview = seen[..., self._shown.preview]
         known = np.concatenate([memory.ground, memory.reference, preview], axis=-1)
-        exogenous = known @ self._ahead.T
+        exogenous = known @ self.foresight.T
         under_way = np.concatenate([memory.table, memory.actions[..., 1:]], axis=-1)
         table = under_way @ model.ahead.T
         believed: FloatArray = np.concatenate([exogenous[..., :w], table, exogenous[..., w:]], axis=-1)

@@ -40,7 +40,10 @@ FLOW, FORCE, RATE, SLIPS, COLUMNS, FRICTION, STATIC, SPOOL_VELOCITY, STORIES = r
 # fastmath stays off and nothing is contracted: a lane's sums are the same in a vector register as alone,
 # so that no result depends on the batch.
 jit = njit(error_model="numpy", nogil=True)
-SOURCES = ("block_kernel", "compiled", "fused", "ground_kernel", "packing", "limits", "plant")
+SOURCES = (
+    "block_kernel", "compiled", "adjoint_kernel", "adjoint", "fused", "ground_kernel", "packing",
+    "limits", "plant",
+)  # fmt: skip
 
 
 def stamp() -> int:

@@ -28,7 +28,7 @@ from shake_env.parameters import FloatArray
 
 
 @jit
-def _gather(
+def gather(
     source: FloatArray, first: int, count: int, s: IntArray, plain: int, target: FloatArray, start: int
 ) -> None:
     """Copy matrices (lanes, rows, columns) from lane `first` on, transposed, to columns from `start` on.
@@ -46,11 +46,12 @@ def _gather(
                     at += 1
 
 
-def _given(dimensions: int) -> types.Array:
+def given(dimensions: int) -> types.Array:
+    """Return the type of an array that is only read, of any layout."""
     return types.Array(float64, dimensions, "A", readonly=True)
 
 
-_ranks = (2, 1, 3, 3, 3, 3, 2, 1, 3)  # of state to arrival
+RANKS = (2, 1, 3, 3, 3, 3, 2, 1, 3)  # of state to arrival
 _made = float64[:, ::1]
 
 
@@ -88,10 +89,10 @@ def _period(
         w = min(width, lanes - first)
         if own or first == 0:
             count = w if own else 1
-            _gather(advance, first, count, s, order + 1, transition, none)
-            _gather(slope, first, count, s, none, change, none)
-            _gather(C, first, count, s, order, outputs, none)
-            _gather(D, first, count, s, none, outputs, order + 1)
+            gather(advance, first, count, s, order + 1, transition, none)
+            gather(slope, first, count, s, none, change, none)
+            gather(C, first, count, s, order, outputs, none)
+            gather(D, first, count, s, none, outputs, order + 1)
         for n in range(w):
             lane = first + n
             for i in range(order):
@@ -125,7 +126,7 @@ def _kept(number: int) -> Any:
 
     # A signature of its own, so that this compiles once, for arrays of any layout.
     @njit(
-        int64(*map(_given, _ranks), float64[::1], int64[::1], _made, _made, _made),
+        int64(*map(given, RANKS), float64[::1], int64[::1], _made, _made, _made),
         cache=True,
         error_model="numpy",
         nogil=True,
