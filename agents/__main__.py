@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -42,6 +43,7 @@ class Compare:
       shake compare --stories 5 --mass-ratio 0.2 --controllers lqr none
       shake compare --controllers lqr policy runs/mine --noise 100 --output out/mine
       shake compare --motion CICLC.v1 --noise 0 --no-records
+      shake compare --report out/report
       shake compare --json > comparison.json
     """
 
@@ -66,6 +68,8 @@ class Compare:
     """Whether a supervisor keeps every controller within the scenario's hard limits."""
     output: Path | None = None
     """Folder for JSON, CSV and the figure (default: out/compare; with --json: none)."""
+    report: Path | None = None
+    """Folder for a report: one page to open in a browser, and its figures as SVG and PNG."""
     json: bool = False
     """Print one JSON object on standard output and nothing else there."""
 
@@ -73,11 +77,13 @@ class Compare:
         """Compare, print, write."""
         from agents.compare import compare
         from agents.compare_output import print_tables, write_files
+        from agents.report import Gathered, make_report, write_report
         from shake_env.rollout import recorded_earthquakes
 
         if self.noise < 0:
             raise ParameterError("noise", self.noise, "must be at least 0")
         scenario = self.scenario.build()
+        gathered = None if self.report is None else Gathered(scenario)
         motions = motion_earthquakes(
             self.motion, self.motion_options, scenario, scale=self.scale, console=console
         )
@@ -101,6 +107,7 @@ class Compare:
                 motions=motions,
                 supervised=self.supervised,
                 on_progress=on_progress,
+                **({} if gathered is None else {"on_histories": gathered}),
             )
         settings = _plain(asdict(self))
         folder = self.output or (None if self.json else Path("out/compare"))
@@ -108,6 +115,10 @@ class Compare:
         if folder is not None:
             for path in write_files(result, settings, folder):
                 console.print(f"wrote {path}")
+        if gathered is not None and self.report is not None:
+            command = shlex.join(["shake", *sys.argv[1:]])
+            written = write_report(make_report(result, gathered, command), self.report)
+            console.print(f"wrote {written[0]} and {len(written) - 1} figures: open it in a browser")
         return result.to_json(settings)
 
 
