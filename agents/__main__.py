@@ -15,7 +15,6 @@ from shake_env.errors import ParameterError, ShakeError
 try:
     import tyro
     from rich.console import Console
-    from rich.progress import TextColumn, TimeRemainingColumn
 except ImportError as missing:  # the environment and LQR install without the command line's packages
     sys.exit(f"shake: {missing.name} is not installed: pip install 'shake-env[agents]'")
 
@@ -191,22 +190,15 @@ class Train:
     """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
-        """Train with a progress bar, and say where the policy lies."""
-        from agents.train import Progress as Told
+        """Train in sight of a person, and say where the policy lies."""
         from agents.train import resume, train
+        from agents.training_view import TrainingView
 
-        columns = (TextColumn("cost / LQR {task.fields[ratio]}"), TimeRemainingColumn())
-        with progress_bar(*columns) as progress:
-            task = progress.add_task("training", total=None, ratio="-")
-
-            def report(told: Told) -> None:
-                ratio = "-" if told.cost_ratio is None else f"{told.cost_ratio:.3f}"
-                progress.update(task, completed=told.steps, total=told.total_steps, ratio=ratio)
-
+        with TrainingView(f"training {self.run_directory.name}") as view:
             if self.resume:
-                result = resume(self.run_directory, report=report)
+                result = resume(self.run_directory, report=view)
             else:
-                result = train(self.config, self.run_directory, report=report)
+                result = train(self.config, self.run_directory, report=view)
         console.print(
             f"cost relative to LQR {result.cost_ratio:.4f} after {result.steps} steps, "
             f"{result.seconds:.0f} s\nwrote {self.run_directory / 'policy.safetensors'}\n"

@@ -147,5 +147,11 @@ def learning_curve(controller: str) -> list[tuple[int, float]]:
     file = (path if path.is_dir() else path.parent) / "evaluations.jsonl"
     if not path.exists() or not file.is_file():
         return []
-    rows = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines() if line.strip()]
-    return [(int(row["steps"]), float(row["cost_ratio"])) for row in rows]
+    curve = []
+    for line in file.read_text(encoding="utf-8").splitlines():
+        try:
+            row = json.loads(line)
+            curve.append((int(row["steps"]), float(row["cost_ratio"])))
+        except (ValueError, KeyError, TypeError):
+            continue  # a killed run leaves half a line
+    return curve

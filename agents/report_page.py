@@ -133,9 +133,9 @@ def _tables(report: Report) -> str:
     body = "".join(_table(report, group) for group in groups)
     text = (
         "Cost is the sum over a group's earthquakes, relative to the reference's on the same ones. "
-        "Errors are rms relative to the target's own rms, mean over earthquakes. Brackets: 95 % bootstrap "
-        "intervals over earthquakes. Spectrum: share of response-spectrum ordinates more than 10 % off. "
-        "Current, velocity and stroke: the largest."
+        "Errors are rms relative to the target's own rms, mean over earthquakes. Brackets: 95 % "
+        "bootstrap intervals over earthquakes. Spectrum: share of response-spectrum ordinates more than "
+        "10 % off. Current, velocity and stroke: the largest."
     )
     return _section("figures", "The numbers", text, body)
 
@@ -257,8 +257,8 @@ def _time(report: Report) -> str:
     )
     text = (
         "What the table did and what the specimen felt, against what they should have: drag along a "
-        "panel to zoom all of them, click twice for the whole test. The choice holds for the response spectra "
-        "below, too. Beside each controller: its rms errors on this earthquake."
+        "panel to zoom all of them, click twice for the whole test. The choice holds for the response "
+        "spectra below, too. Beside each controller: its rms errors on this earthquake."
     )
     words = (
         "Curves over time of table acceleration, base shear, valve current, load pressure and stroke, "
