@@ -51,7 +51,9 @@ def _legend(figure: Figure, panel: Axes) -> None:
 
 
 def _log(axis: Any) -> None:
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+    low, high = axis.get_view_interval()
+    subs = (1.0, 2.0, 5.0) if high > 6.0 * low else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+    axis.set_major_locator(LogLocator(subs=subs, numticks=12))
     axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
@@ -60,12 +62,18 @@ def _time(curves: Curves) -> Any:
     return (np.arange(len(curves.values["acceleration"])) + 1.0) / curves.rate
 
 
-def _traces(report: Report) -> Figure:
-    i = [quake.name for quake in report.gathered.earthquakes].index(report.comparison.traced)
-    target = report.gathered.targets[i]
+def _strongest(target: Curves) -> tuple[float, float]:
+    """Return the ends [s] of `WINDOW` about the peak of the base shear."""
     time = _time(target)
     centre = time[int(np.argmax(np.abs(target.values["shear"])))]
     start = min(max(centre - 0.4 * WINDOW, 0.0), max(time[-1] - WINDOW, 0.0))
+    return float(start), float(min(start + WINDOW, time[-1]))
+
+
+def _traces(report: Report) -> Figure:
+    i = [quake.name for quake in report.gathered.earthquakes].index(report.comparison.traced)
+    target = report.gathered.targets[i]
+    start, end = _strongest(target)
     figure = new_figure(8.0, 9.0)
     panels = figure.subplots(len(report.channels), 1, sharex=True)
     for panel, channel in zip(panels, report.channels, strict=True):
@@ -74,7 +82,7 @@ def _traces(report: Report) -> Figure:
         shown += [(report.labels[n], report.gathered.runs[n][i], _line(report, n)) for n in report.shown]
         for label, curves, style in shown:
             at = _time(curves)
-            inside = (at >= start) & (at <= start + WINDOW)
+            inside = (at >= start) & (at <= end)
             values = curves.values[channel.key][inside]
             largest = max(largest, float(np.max(np.abs(values), initial=0.0)))
             panel.plot(at[inside], values, **{**style, "label": label})
@@ -87,7 +95,7 @@ def _traces(report: Report) -> Figure:
             title += f", limit ±{channel.limit:g} {channel.unit} is far outside"
         panel.set_title(title, loc="left")
         panel.set_ylabel(f"[{channel.unit}]")
-    panels[-1].set_xlim(start, min(start + WINDOW, float(time[-1])))
+    panels[-1].set_xlim(start, end)
     panels[-1].set_xlabel("time [s]")
     figure.align_ylabels(panels)
     figure.suptitle(f"The strongest {WINDOW:g} s of {report.comparison.traced}")
@@ -162,9 +170,10 @@ def _trade_off(report: Report) -> Figure:
         bars = [
             np.abs(100 * (np.array(ends)[:, None] - mean)) for ends, mean in ((x_ends, x), (y_ends, y))
         ]
-        panel.errorbar(
-            100 * x, 100 * y, xerr=bars[0], yerr=bars[1], **mark, markersize=8, capsize=2.5,
-            markeredgecolor="white", label=report.labels[name],
+        panel.errorbar(100 * x, 100 * y, *bars[::-1], color=mark["color"], capsize=2.5, linestyle="none")
+        panel.plot(
+            100 * x, 100 * y, **mark, markersize=8, markeredgecolor="white", zorder=4,
+            label=report.labels[name],
         )  # fmt: skip
     panel.set_xscale("log")
     panel.set_yscale("log")
@@ -183,11 +192,14 @@ def _hysteresis(report: Report) -> Figure | None:
     i = [quake.name for quake in report.gathered.earthquakes].index(report.comparison.traced)
     figure = new_figure(6.4, 4.8)
     panel = figure.subplots()
-    target = report.gathered.targets[i].values
-    panel.plot(target["drift"], target["shear"], **TARGET, label="target (real ground)")
-    for name in report.shown:
-        run = report.gathered.runs[name][i].values
-        panel.plot(run["drift"], run["shear"], **_line(report, name, 1.1))
+    start, end = _strongest(report.gathered.targets[i])
+    shown = [("target (real ground)", report.gathered.targets[i], TARGET)]
+    shown += [(report.labels[n], report.gathered.runs[n][i], _line(report, n)) for n in report.shown]
+    for label, curves, style in shown:
+        at = _time(curves)
+        inside = (at >= start) & (at <= end)
+        drift, shear = curves.values["drift"][inside], curves.values["shear"][inside]
+        panel.plot(drift, shear, **{**style, "label": label})
     panel.set_xlabel("drift of the first storey [mm]")
     panel.set_ylabel("base shear [kN]")
     panel.set_title(f"How the specimen yielded: {report.comparison.traced}", loc="left")
@@ -209,7 +221,7 @@ def _robustness(report: Report) -> Figure | None:
     columns = min(2, len(errors))
     rows = -(-len(errors) // columns)
     figure = new_figure(8.0, 0.6 + 3.0 * rows)
-    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for panel in panels[len(errors) :]:
         panel.remove()
     points = None

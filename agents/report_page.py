@@ -105,10 +105,15 @@ def _setting(report: Report) -> str:
 def _verdict(report: Report) -> str:
     heads = ("Who wins", "Where it loses", "What limits it")
     rows = "".join(
-        f"<div><dt>{head}</dt><dd>{escape(sentence)}</dd></div>\n"
+        f"<div><dt>{head}</dt><dd>{unbroken(sentence)}</dd></div>\n"
         for head, sentence in zip(heads, report.verdict.sentences, strict=True)
     )
     return f'<dl class="verdict" id="verdict">\n{rows}</dl>'
+
+
+def unbroken(sentence: str) -> str:
+    """Return a sentence as HTML whose numbers keep their percent signs."""
+    return escape(sentence).replace(" %", "&nbsp;%")
 
 
 def _section(identifier: str, heading: str, text: str, body: str) -> str:
@@ -135,7 +140,7 @@ def _tables(report: Report) -> str:
         "Cost is the sum over a group's earthquakes, relative to the reference's on the same ones. "
         "Errors are rms relative to the target's own rms, mean over earthquakes. Brackets: 95 % "
         "bootstrap intervals over earthquakes. Spectrum: share of response-spectrum ordinates more than "
-        "10 % off. Current, velocity and stroke: the largest."
+        "10 % off. Current, velocity and stroke: the largest. Ended early: by a broken limit."
     )
     return _section("figures", "The numbers", text, body)
 
@@ -154,7 +159,7 @@ def _table(report: Report, group: str) -> str:
         return cell
 
     columns: list[Column] = [
-        (f"cost / {reference}", lambda row: _interval(
+        (f"cost /<br>{reference}", lambda row: _interval(
             row.relative_cost, row.relative_cost_low, row.relative_cost_high)),
         ("acceleration<br>error [%]", error("acceleration_rms_error")),
         ("base shear<br>error [%]", error("base_shear_rms_error")),
@@ -165,7 +170,7 @@ def _table(report: Report, group: str) -> str:
         ("stroke [mm]", lambda row: _number(1e3 * row.peak_displacement, 0)),
     ]  # fmt: skip
     if any(row.broken_limits for row in rows):
-        columns.append(("ended by a limit", lambda row: str(row.broken_limits)))
+        columns.append(("ended early", lambda row: str(row.broken_limits)))
     if any(np.isfinite(row.decision_time) for row in rows):
         columns.append(("decision [µs]", lambda row: _number(1e6 * row.decision_time, 0)))
     # Values stand under the headings' ends, intervals beyond them.
@@ -281,7 +286,7 @@ def _spectra(report: Report, data: dict[str, Any]) -> str:
     one = _plot("spectrum", "Response spectra of target and achieved on the chosen earthquake.")
     text = (
         "Pseudo-acceleration at 5 % damping. The band is 10 % to either side of the target: an ordinate "
-        "outside counts as missed."
+        "outside counts as missed. A test that a limit ended counts as far as it ran."
     )
     if not any(value is not None for row in data["ratios"] for value in row):
         return _section("spectra", "Response spectra", text, one)
@@ -311,8 +316,8 @@ def _hysteresis(data: dict[str, Any]) -> str:
     if not data["hysteresis"]:
         return ""
     text = (
-        "Base shear against the drift of the first storey on the chosen earthquake: how the specimen "
-        "yielded on the table, and how it would have on real ground (grey)."
+        "Base shear against the drift of the first storey, in the stretch in view above: how the "
+        "specimen yielded on the table, and how it would have on real ground (grey)."
     )
     words = "Hysteresis loops of the first storey, on the table and on real ground."
     return _section("loops", "How the specimen yielded", text, _plot("hysteresis", words))

@@ -3,7 +3,6 @@
 import json
 import re
 from dataclasses import replace
-from html import escape
 from html.parser import HTMLParser
 
 import numpy as np
@@ -14,7 +13,7 @@ from agents.fidelity import Fidelity
 from agents.report import Gathered, channels, make_report, unique_labels, write_report
 from agents.report_data import page_data
 from agents.report_estimates import Drawn, TransferEstimate, learning_curve, lqr_frontier
-from agents.report_page import page
+from agents.report_page import page, unbroken
 from agents.report_traces import LEVELS, Curves, pack, pack_all, unpack
 from agents.verdict import verdict
 from baselines.lqr import lqr
@@ -274,7 +273,7 @@ def test_every_named_scenario_has_a_page(name):
     found = Checked(text)
     assert len(found.ids) == len(set(found.ids))
     for sentence in report.verdict.sentences:
-        assert escape(sentence) in text
+        assert unbroken(sentence) in text
     plots = {each["id"] for each in found.all("div") if each.get("class") == "plot"}
     assert {"traces", "trade-off", "spectrum", "transfer-shear"} <= plots
     assert ("hysteresis" in plots) == scenario.nonlinearity.yielding.active

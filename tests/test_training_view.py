@@ -35,7 +35,7 @@ def test_every_algorithm_writes_what_tensorboard_shows(algorithm, tmp_path):
         algorithm=algorithm,
         scenario=ScenarioOptions("yielding") if algorithm == "ppo" else ScenarioOptions(),
         ppo=PPOOptions(tables=4, rollout_steps=16, batch_size=64, epochs=1),
-        sac=SACOptions(tables=4, batch_size=32, gradient_steps=1, buffer_size=1000, warmup_steps=32),
+        sac=SACOptions(tables=32, batch_size=32, gradient_steps=1, buffer_size=1000, warmup_steps=32),
         analytic=AnalyticOptions(tables=4, window=8),
         hidden=(8,), episode=0.2, total_steps=128, evaluation_interval=1e-9, evaluation_earthquakes=2,
     )  # fmt: skip
@@ -71,7 +71,7 @@ def test_the_view_says_how_far_how_long_and_how_good():
 
 
 def test_the_time_left_counts_from_where_a_resumed_run_began():
-    assert "about 100 s left" in shown(told(500, 0.0), told(750, 100.0))
+    assert "75 %, about 2 min left" in shown(told(500, 0.0), told(750, 100.0))
     assert "not known yet" in shown(told(500, 0.0), told(505, 1.0))
     assert "took 40 s" in shown(told(0, 0.0), told(1000, 40.0, 1.0))
 

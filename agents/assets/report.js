@@ -127,17 +127,18 @@
         }
       }
       const words = limit === null ? "" : near ? `, dashed: limit ±${+limit.toPrecision(3)}`
-        : `, limit ±${+limit.toPrecision(3)} is far outside`;
+        : `, limit ±${+limit.toPrecision(3)} ${narrow() ? "far off" : "is far outside"}`;
       notes.push({ text: `<b>${channel.title}</b> [${channel.unit}]${words}`, xref: "paper", yref: "paper", x: 0, y: top,
         xanchor: "left", yanchor: "bottom", showarrow: false, font: { size: 12.5 } });
       const reach = 1.06 * Math.max(largest, near ? limit : 0, 1e-9);
-      shape["xaxis" + n] = axis(row === rows - 1 ? "time [s]" : "", {
+      shape["xaxis" + n] = axis(row === rows - 1 ? `time of ${quake.name} [s]` : "", {
         range: [from, to], matches: row === 0 ? undefined : "x", showticklabels: row === rows - 1, anchor: "y" + n,
         ticks: row === rows - 1 ? "outside" : "" });
       shape["yaxis" + n] = axis("", { domain: [top - share, top], range: [-reach, reach], anchor: "x" + n, nticks: 5,
         fixedrange: true, zeroline: true, zerolinecolor: "#b5b5b5" });
     });
-    await Plotly.react("traces", list, Object.assign(shape, { annotations: notes, shapes }), config);
+    await Plotly.react("traces", list, Object.assign(shape, { annotations: notes, shapes }),
+      Object.assign({}, config, { doubleClick: false }));
     $("window").value = `${from.toFixed(1)} to ${to.toFixed(1)} s of ${duration(quake).toFixed(1)} s`;
   }
   async function loops() {
@@ -147,8 +148,9 @@
     controllers.forEach((c, k) => { if (chosen[k]) list.push([c.label, quake.runs[k], line(k, 1.4)]); });
     const drawn = [];
     for (const [name, packed, style] of list) {
-      const curves = await unpack(packed);
-      drawn.push({ type: "scatter", mode: "lines", x: Array.from(curves.drift), y: Array.from(curves.shear), name, line: style });
+      const curves = await unpack(packed), [from, to] = window_.map((t) => Math.round(t * packed.rate));
+      drawn.push({ type: "scatter", mode: "lines", name, line: style, x: Array.from(curves.drift.slice(from, to)),
+        y: Array.from(curves.shear.slice(from, to)) });
     }
     await Plotly.react("hysteresis", drawn, layout({
       height: 480, xaxis: axis("drift of the first storey [mm]"), yaxis: axis("base shear [kN]"),
@@ -267,12 +269,12 @@
   async function show(from, to) {
     window_ = [from, to];
     await traces();
+    await loops();
   }
   async function choose() {
     errors();
     spectra();
     await show(...(await strongest(earthquakes[current])));
-    await loops();
   }
   $("earthquake").addEventListener("change", (event) => { current = Number(event.target.value); choose(); });
   $("strong").addEventListener("click", async () => show(...(await strongest(earthquakes[current]))));
@@ -306,6 +308,7 @@
     if (key.endsWith("autorange")) show(0, duration(earthquakes[current]));
     else if (from !== undefined && (from !== window_[0] || to !== window_[1])) show(Math.max(0, from), Math.min(to, duration(earthquakes[current])));
   });
+  $("traces").on("plotly_doubleclick", () => show(0, duration(earthquakes[current])));
   tradeOff();
   transfer();
   robustness();
