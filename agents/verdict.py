@@ -129,7 +129,7 @@ def _loses(
     ):
         leader = min(candidates, key=lambda row: getattr(row, field))
         mine, least = getattr(best, field), getattr(leader, field)
-        if leader.controller != best.controller and mine > 1.005 * least:
+        if leader.controller != best.controller and _percent(mine) != _percent(least):
             parts.append(
                 f"in {what}, where its error is {_percent(mine)} and that of {label(leader.controller)} "
                 f"{_percent(least)}"

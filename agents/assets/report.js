@@ -258,9 +258,9 @@
   }
   function learning() {
     if (!data.learning.length) return;
-    const list = data.learning.map((run) => ({ x: run.steps, y: run.cost, mode: "lines+markers", line: line(run.controller, 2),
-      name: controllers[run.controller].label, marker: { symbol: controllers[run.controller].symbol, size: 6 } }));
-    Plotly.newPlot("learning", list, layout({ showlegend: list.length > 1, xaxis: axis("control periods trained on", { rangemode: "tozero" }),
+    const list = data.learning.map((run) => ({ x: run.steps.map((n) => n / 1e6), y: run.cost, mode: "lines+markers", line: line(run.controller, 2),
+      name: controllers[run.controller].label, marker: { symbol: controllers[run.controller].symbol, size: 9 } }));
+    Plotly.newPlot("learning", list, layout({ showlegend: list.length > 1, xaxis: axis("control periods trained on [million]", { rangemode: "tozero" }),
       yaxis: axis("cost / reference [-]", decades(data.learning.flatMap((run) => run.cost))),
       shapes: [{ type: "line", xref: "paper", x0: 0, x1: 1, y0: 1, y1: 1, line: { color: LIMIT, width: 1.3, dash: "8px,4px" } }] }), config);
   }
