@@ -52,7 +52,9 @@ def _legend(figure: Figure, panel: Axes) -> None:
 
 def _log(axis: Any) -> None:
     low, high = axis.get_view_interval()
-    subs = (1.0, 2.0, 5.0) if high > 6.0 * low else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+    wide = high / low
+    few, more = (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+    subs = few if wide > 6.0 else more if wide > 2.5 else tuple(np.arange(2, 20) / 2.0)
     axis.set_major_locator(LogLocator(subs=subs, numticks=12))
     axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())

@@ -32,9 +32,11 @@
   const decades = (values) => {
     const known = values.filter((v) => v > 0);
     const low = Math.min(...known), high = Math.max(...known);
-    const ticks = [];
+    const ticks = [], wide = high / low;
+    const steps = wide > 300 ? [1] : wide > 20 ? [1, 3] : wide > 6 ? [1, 2, 5] : wide > 2.5 ? [1, 1.5, 2, 3, 4, 5, 7]
+      : Array.from({ length: 18 }, (_, i) => 1 + i / 2);
     for (let e = Math.floor(Math.log10(low)); e <= Math.ceil(Math.log10(high)); e++) {
-      for (const m of high / low > 300 ? [1] : high / low > 20 ? [1, 3] : high / low > 6 ? [1, 2, 5] : [1, 1.5, 2, 3, 4, 5, 7]) ticks.push(m * 10 ** e);
+      for (const m of steps) ticks.push(m * 10 ** e);
     }
     return { type: "log", tickvals: ticks, ticktext: ticks.map((t) => String(+t.toPrecision(3))) };
   };
