@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from agents.__main__ import main
 from agents.compare import Comparison, compare, summarise
 from agents.fidelity import Fidelity
 from agents.report import Gathered, channels, make_report, unique_labels, write_report
@@ -368,3 +369,26 @@ def test_a_run_directory_has_its_learning_curve(tmp_path):
     (tmp_path / "evaluations.jsonl").write_text("\n".join([*lines, '{"steps": 20, "co']))
     assert learning_curve(str(tmp_path)) == [(0, 9.0), (10, 1.5)]
     assert learning_curve("lqr") == []
+
+
+def test_the_command_writes_the_report_it_names(tmp_path, capsys):
+    folder = tmp_path / "report"
+    arguments = [
+        "compare",
+        "--no-records",
+        "--noise",
+        "2",
+        "--duration",
+        "2",
+        "--controllers",
+        "none",
+        "--output",
+    ]
+    assert main([*arguments, str(tmp_path / "out"), "--report", str(folder)]) == 0
+    written = "".join(capsys.readouterr().out.split())  # a narrow terminal folds paths
+    assert f"wrote{folder}/index.html" in written
+    text = (folder / "index.html").read_text(encoding="utf-8")
+    # Two seconds are shorter than a window of the spectral estimate: its panel is left out, not empty.
+    plots = {each["id"] for each in Checked(text).all("div") if each.get("class") == "plot"}
+    assert plots == {"trade-off", "traces", "spectrum", "ratio"}
+    assert not (folder / "transfer.png").exists()
