@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -14,7 +15,6 @@ from shake_env.errors import ParameterError, ShakeError
 try:
     import tyro
     from rich.console import Console
-    from rich.progress import TextColumn, TimeRemainingColumn
 except ImportError as missing:  # the environment and LQR install without the command line's packages
     sys.exit(f"shake: {missing.name} is not installed: pip install 'shake-env[agents]'")
 
@@ -42,6 +42,7 @@ class Compare:
       shake compare --stories 5 --mass-ratio 0.2 --controllers lqr none
       shake compare --controllers lqr policy runs/mine --noise 100 --output out/mine
       shake compare --motion CICLC.v1 --noise 0 --no-records
+      shake compare --report out/report
       shake compare --json > comparison.json
     """
 
@@ -66,6 +67,8 @@ class Compare:
     """Whether a supervisor keeps every controller within the scenario's hard limits."""
     output: Path | None = None
     """Folder for JSON, CSV and the figure (default: out/compare; with --json: none)."""
+    report: Path | None = None
+    """Folder for a report: one page to open in a browser, and its figures as SVG and PNG."""
     json: bool = False
     """Print one JSON object on standard output and nothing else there."""
 
@@ -73,11 +76,13 @@ class Compare:
         """Compare, print, write."""
         from agents.compare import compare
         from agents.compare_output import print_tables, write_files
+        from agents.report import Gathered, make_report, write_report
         from shake_env.rollout import recorded_earthquakes
 
         if self.noise < 0:
             raise ParameterError("noise", self.noise, "must be at least 0")
         scenario = self.scenario.build()
+        gathered = None if self.report is None else Gathered(scenario)
         motions = motion_earthquakes(
             self.motion, self.motion_options, scenario, scale=self.scale, console=console
         )
@@ -101,6 +106,7 @@ class Compare:
                 motions=motions,
                 supervised=self.supervised,
                 on_progress=on_progress,
+                **({} if gathered is None else {"on_histories": gathered}),
             )
         settings = _plain(asdict(self))
         folder = self.output or (None if self.json else Path("out/compare"))
@@ -108,6 +114,10 @@ class Compare:
         if folder is not None:
             for path in write_files(result, settings, folder):
                 console.print(f"wrote {path}")
+        if gathered is not None and self.report is not None:
+            command = shlex.join(["shake", *sys.argv[1:]])
+            written = write_report(make_report(result, gathered, command), self.report)
+            console.print(f"wrote {written[0]} and {len(written) - 1} figures: open it in a browser")
         return result.to_json(settings)
 
 
@@ -180,22 +190,15 @@ class Train:
     """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
-        """Train with a progress bar, and say where the policy lies."""
-        from agents.train import Progress as Told
+        """Train in sight of a person, and say where the policy lies."""
         from agents.train import resume, train
+        from agents.training_view import TrainingView
 
-        columns = (TextColumn("cost / LQR {task.fields[ratio]}"), TimeRemainingColumn())
-        with progress_bar(*columns) as progress:
-            task = progress.add_task("training", total=None, ratio="-")
-
-            def report(told: Told) -> None:
-                ratio = "-" if told.cost_ratio is None else f"{told.cost_ratio:.3f}"
-                progress.update(task, completed=told.steps, total=told.total_steps, ratio=ratio)
-
+        with TrainingView(f"training {self.run_directory.name}") as view:
             if self.resume:
-                result = resume(self.run_directory, report=report)
+                result = resume(self.run_directory, report=view)
             else:
-                result = train(self.config, self.run_directory, report=report)
+                result = train(self.config, self.run_directory, report=view)
         console.print(
             f"cost relative to LQR {result.cost_ratio:.4f} after {result.steps} steps, "
             f"{result.seconds:.0f} s\nwrote {self.run_directory / 'policy.safetensors'}\n"

@@ -38,6 +38,7 @@ FIGURES = (
 )
 PEAKS = ("peak_current", "peak_velocity", "peak_displacement")
 CLAIRVOYANT = "clairvoyant"  # what regret is counted from, see `baselines.clairvoyant`
+Histories = Sequence[tuple[Earthquake, Trajectory]]
 ALL = "all"  # stands for every classical controller that suits the scenario
 
 
@@ -80,6 +81,7 @@ class Comparison:
     traced: str  # name of the earthquake that was traced
     skipped: list[str]  # what was left out, and why
     interventions: dict[str, float]  # by controller: share of commands that a supervisor changed
+    groups: list[str]  # of each earthquake, in their order
 
     def to_json(self, settings: dict[str, Any]) -> dict[str, Any]:
         """Return everything but the traces as plain JSON values."""
@@ -206,6 +208,7 @@ def compare(
     motions: Sequence[Earthquake] = (),
     supervised: bool = False,
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
+    on_histories: Callable[[str, Histories], None] = lambda controller, histories: None,
 ) -> Comparison:
     """Run every controller on the same earthquakes.
 
@@ -227,6 +230,9 @@ def compare(
         Whether a `Supervised` keeps every controller within the hard limits.
     on_progress
         Told the controller that runs and its share done, 0 to 1.
+    on_histories
+        Shown each controller's (earthquake, trajectory) pairs when it has run. They are not kept: those
+        of all controllers would fill a machine's memory.
 
     Raises
     ------
@@ -268,6 +274,7 @@ def compare(
         if isinstance(controller, Supervised):
             shares[name] = controller.interventions().share
         step, stories = scenario.physics_step, scenario.specimen.stories
+        on_histories(name, [(quake, found[i]) for i, quake in enumerate(earthquakes)])
         fidelities[name] = [fidelity(found[i], step, stories) for i in range(len(earthquakes))]
         # What is made for each lane's own earthquake or plant has no decision for one table to time.
         own = name == CLAIRVOYANT or (name in BASELINES and BASELINES[name].repeats_tests)
@@ -286,7 +293,8 @@ def compare(
         for name, rows in episodes.items()
     ]
     name = earthquakes[traced].name
-    return Comparison(summaries, episodes, fidelities, traces, reference, name, skipped, shares)
+    of_each = [group for group, members in groups.items() for _ in members]
+    return Comparison(summaries, episodes, fidelities, traces, reference, name, skipped, shares, of_each)
 
 
 def _strongest(recorded: Sequence[Earthquake]) -> int:
@@ -326,6 +334,14 @@ def summarise(
         **means,
         **peaks,
     )
+
+
+def cost_ratio(
+    rows: Sequence[EpisodeMetrics], others: Sequence[EpisodeMetrics]
+) -> tuple[float, float, float]:
+    """Return summed cost over the others' on the same earthquakes, with its 95 % interval."""
+    cost, base = np.asarray([r.cost for r in rows]), np.asarray([r.cost for r in others])
+    return (float(_ratio(cost, base)), *_interval(cost, base))
 
 
 def plain_row(row: dict[str, Any]) -> dict[str, Any]:

@@ -30,6 +30,27 @@ SERIES: tuple[dict[str, Any], ...] = (
     {"color": PURPLE, "linestyle": (0, (3, 1, 1, 1, 1, 1)), "linewidth": 1.7},
 )
 
+# Colour, dash pattern and marker each tell controllers apart. Targets lie wide and light behind.
+TARGET: dict[str, Any] = {"color": "#9A9A9A", "linestyle": "-", "linewidth": 3.2}
+CONTROLLERS: tuple[dict[str, Any], ...] = (
+    {"color": BLUE, "linestyle": "-", "marker": "o"},
+    {"color": VERMILLION, "linestyle": (0, (5, 2)), "marker": "s"},
+    {"color": BLACK, "linestyle": (0, (1, 1.2)), "marker": "^"},
+    {"color": GREEN, "linestyle": (0, (6, 2, 1, 2)), "marker": "D"},
+    {"color": "#A5527F", "linestyle": (0, (9, 3)), "marker": "v"},  # purple, dark enough for white paper
+    {"color": "#9C6B00", "linestyle": (0, (9, 2, 2, 2)), "marker": "X"},  # orange, likewise
+)
+# The same for plotly, which names dash patterns and markers its own way.
+PLOTLY: tuple[dict[str, str], ...] = tuple(
+    {"color": style["color"], "dash": dash, "symbol": symbol}
+    for style, dash, symbol in zip(
+        CONTROLLERS,
+        ("solid", "5px,2px", "1.5px,2px", "7px,2px,1.5px,2px", "10px,3px", "10px,2px,3px,2px"),
+        ("circle", "square", "triangle-up", "diamond", "triangle-down", "x"),
+        strict=True,
+    )
+)
+
 STYLE: dict[str, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 9.5,

@@ -9,12 +9,11 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import configure
+from stable_baselines3.common.logger import Figure, configure
 from threadpoolctl import threadpool_limits
 
 import shake_env
@@ -24,7 +23,10 @@ from agents.code_version import code_version
 from agents.config import TrainConfig, read_config
 from agents.export import export_policy
 from agents.models import Model, new_model
+from agents.progress import Progress
+from agents.report_estimates import learning_curve
 from agents.sb3_vec_env import ShakeTableVecEnv
+from agents.training_view import example_figure
 from baselines.clairvoyant import clairvoyant
 from baselines.lqr import lqr
 from shake_env.errors import RunDirectoryError
@@ -34,16 +36,6 @@ from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario import Scenario
 
 EVALUATION_SEED = 1_000_000  # training seeds lie far below, so that no evaluation motion is trained on
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where a run stands."""
-
-    steps: int
-    total_steps: int
-    seconds: float  # wall time of training in this process
-    cost_ratio: float | None  # last evaluation: relative to the reference's on the same earthquakes
 
 
 @dataclass(frozen=True)
@@ -167,6 +159,8 @@ class _Watch(BaseCallback):
         self.started = time.monotonic()
         self.evaluated = self.saved = self.told = -np.inf
         self.cost_ratio: float | None = None
+        self.evaluations = [ratio for _, ratio in learning_curve(str(run))]
+        self.errors: tuple[float, float] | None = None
 
     def _on_rollout_start(self) -> None:
         now = time.monotonic()
@@ -190,28 +184,45 @@ class _Watch(BaseCallback):
                 self.config.steps,
                 time.monotonic() - self.started,
                 self.cost_ratio,
+                tuple(self.evaluations),
+                self.errors,
+                "LQR" if lqr_suits(self.scenario) else "clairvoyant",
             )
         )
 
     def evaluate(self) -> float:
         """Return the policy's mean cost on the fixed earthquakes, and write it down."""
-        cost = _mean_cost(export_policy(self.model, self.tables, {}), self)
+        policy = export_policy(self.model, self.tables, {})
+        metrics, found = rollout(policy, self.scenario, self.earthquakes, record=(0,))
+        cost = float(np.mean([m.cost for m in metrics]))
         self.cost_ratio = cost / self.lqr_cost
+        self.evaluations.append(self.cost_ratio)
+        acceleration = float(np.mean([m.acceleration_rms_error for m in metrics]))
+        shear = float(np.mean([m.base_shear_rms_error for m in metrics]))
+        self.errors = (acceleration, shear)
         self.logger.record("evaluation/cost_relative_to_lqr", self.cost_ratio)
+        self.logger.record("evaluation/acceleration_rms_error", acceleration)
+        self.logger.record("evaluation/base_shear_rms_error", shear)
+        title = f"{metrics[0].earthquake} after {self.model.num_timesteps} control periods"
+        figure = Figure(example_figure(found[0], title), close=False)
+        self.logger.record("evaluation/example", figure)
         self.logger.dump(self.model.num_timesteps)
         row = {
             "steps": self.model.num_timesteps,
             "seconds": round(time.monotonic() - self.started, 1),
             "cost_ratio": self.cost_ratio,
+            "acceleration_rms_error": acceleration,
+            "base_shear_rms_error": shear,
         }
         with (self.run / "evaluations.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
         return cost
 
 
-def _mean_cost(controller: Any, watch: _Watch) -> float:
-    metrics, _ = rollout(controller, watch.scenario, watch.earthquakes)
-    return float(np.mean([m.cost for m in metrics]))
+def lqr_suits(scenario: Scenario) -> bool:
+    """Return whether costs are relative to LQR's, and not to the clairvoyant's (see `_reference`)."""
+    suits = scenario.sensing.full_state and not scenario.delay and not scenario.uncertainty.active
+    return suits and scenario.limits.table_displacement is None
 
 
 def _reference(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[list[Earthquake], float]:
@@ -221,8 +232,7 @@ def _reference(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[l
     state of a table that it knows, answers at once and may drift as far as it likes. An earthquake that
     takes the reference to a limit costs so much that it would be the whole of a mean.
     """
-    suits = scenario.sensing.full_state and not scenario.delay and not scenario.uncertainty.active
-    if suits and scenario.limits.table_displacement is None:
+    if lqr_suits(scenario):
         metrics, _ = rollout(lqr(scenario), scenario, earthquakes)
     else:
         seen, controller = clairvoyant(scenario, earthquakes)
