@@ -7,6 +7,7 @@ import gymnasium
 import numpy as np
 import pandas
 import pytest
+import torch
 from gymnasium import wrappers
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
@@ -15,8 +16,10 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
 from agents.compare import GroupSummary, compare
+from agents.features import LinearFeatures, feature_matrix, feature_sizes
 from agents.fidelity import Fidelity
 from agents.frames import COLUMNS
+from agents.wrappers import TrackingFeatures
 from baselines.lqr import lqr, sampled_lqr
 from baselines.python_control import (
     OUTPUTS,
@@ -144,6 +147,20 @@ def test_sb3_evaluate_policy_takes_any_controller():
     assert lengths == [100, 100, 100]
     # SB3 keeps rewards in float32, and Monitor rounds the sum to six decimals.
     assert returns == pytest.approx(expected, rel=1e-5)
+
+
+def test_tracking_features_are_what_training_sees():
+    scenario = make_scenario("laboratory", SHORT)
+    bare, env = make(scenario="laboratory"), TrackingFeatures(make(scenario="laboratory"))
+    check_env(env)
+    extractor = LinearFeatures(
+        bare.observation_space, feature_matrix(scenario).tolist(), sizes=feature_sizes(scenario).tolist()
+    )
+    seen, _, _ = played(env, 20)
+    states, _, _ = played(bare, 20)
+    # The same product in another order of summation, in float32.
+    expected = extractor(torch.from_numpy(states)).numpy()
+    assert np.allclose(seen, expected, rtol=1e-4, atol=1e-4)
 
 
 # python-control
