@@ -203,10 +203,26 @@ def public_modules(package: str) -> list[str]:
     return names
 
 
+def own_names(path: Path) -> list[str]:
+    """Return the public functions and classes that a file defines itself."""
+    kinds = ast.FunctionDef | ast.ClassDef
+    body = ast.parse(path.read_text(encoding="utf-8")).body
+    return [node.name for node in body if isinstance(node, kinds) and not node.name.startswith("_")]
+
+
 def api(package: str) -> str:
-    """Return a package's API page: a heading a module, its public names below."""
+    """Return a package's API page: a heading a module, its public names below.
+
+    What a package passes on from its modules stands where it is defined, and there alone.
+    """
     text = [f"# API, {package}\n", NOTE, PACKAGES[package] + "\n"]
-    text += [f"::: {module}\n" for module in public_modules(package)]
+    for module in public_modules(package):
+        text.append(f"::: {module}\n")
+        start = ROOT.joinpath(*module.split("."), "__init__.py")
+        if start.is_file():
+            names = own_names(start)
+            listed = f" [{', '.join(names)}]" if names else " false"
+            text[-1] += f"    options:\n      members:{listed}\n"
     return "\n".join(text)
 
 
