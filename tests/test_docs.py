@@ -18,14 +18,6 @@ DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 PACKAGES = ("shake_env", "baselines", "agents")
 RECORD = ROOT / "tests" / "data" / "CICLC_trimmed.v1"
-# An HTML comment of this text before a block keeps it out of the default suite; -m slow runs it.
-LONG = "<!-- long: runs with pytest -m slow -->"
-BLOCK = re.compile(rf"(?P<long>{re.escape(LONG)}\n)?```(?P<language>\w+)\n(?P<code>.*?)```", re.DOTALL)
-
-
-def blocks(page, *languages):
-    found = BLOCK.finditer(page.read_text(encoding="utf-8"))
-    return [(m["code"], m["long"] is not None) for m in found if m["language"] in languages]
 
 
 @pytest.fixture(scope="module")
@@ -167,27 +159,6 @@ def test_the_field_table_says_a_unit_for_nearly_every_number(generator):
     assert {name.strip("| `") for name in silent} <= {"nonlinearity.valve.dead_band", "sensing.history"}
 
 
-# Code
-
-
-LONG_PAGES = [page for page in PAGES if any(long for _, long in blocks(page, "python"))]
-
-
-def run_blocks(page, slow):
-    names = {}
-    for code, long in blocks(page, "python"):
-        if slow or not long:
-            exec(compile(code, page.name, "exec"), names)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("page", LONG_PAGES, ids=lambda p: p.name)
-def test_long_blocks_run(page, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    shutil.copy(RECORD, tmp_path / "CICLC.v1")
-    run_blocks(page, slow=True)
-
-
 # Commands
 
 
@@ -196,7 +167,7 @@ def commands():
     found = {}
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
-        shell = "\n".join(code for code, _ in blocks(page, "sh"))
+        shell = "\n".join(re.findall(r"```sh\n(.*?)```", text, re.DOTALL))
         indented = "\n".join(line[4:] for line in text.splitlines() if line.startswith("    shake "))
         for line in re.sub(r"\\\n\s*", " ", f"{shell}\n{indented}").splitlines():
             start = re.search(r"(?:^|[\s/])shake (?=[a-z])", line)
