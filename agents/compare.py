@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from scipy.stats import bootstrap
 
 import shake_env
 from agents.fidelity import Fidelity, fidelity
+from agents.frames import Rows, to_frame
 from agents.free_design import FREE, as_free, free_design
 from agents.policy_file import load_policy
 from baselines.catalogue import BASELINES
@@ -28,6 +29,9 @@ from shake_env.scenario import Scenario
 from shake_env.simulation import Simulation
 from shake_env.supervisor import Supervised
 from shake_env.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 SHIPPED = {"policy": "linear-ppo", "analytic": "linear-analytic"}  # what comes with the package
 FIGURES = (
@@ -101,6 +105,10 @@ class Comparison:
             "skipped": self.skipped,
             "interventions": self.interventions,
         }
+
+    def to_frame(self, rows: Rows = "episodes") -> DataFrame:
+        """Return episodes, summaries or traces as a pandas frame; see `agents.frames`."""
+        return to_frame(self, rows)
 
 
 def shipped_policy(name: str = "policy") -> Path:

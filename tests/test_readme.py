@@ -11,8 +11,15 @@ RECORD = ROOT / "tests" / "data" / "CICLC_trimmed.v1"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
-def blocks(page):
-    return re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+# Before a block that takes long: kept out of the default suite, and run by -m slow.
+LONG = "<!-- long: runs with pytest -m slow -->\n"
+
+
+def blocks(page, slow=False):
+    found = re.findall(
+        rf"({re.escape(LONG)})?```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL
+    )
+    return [code for long, code in found if slow or not long]
 
 
 def test_the_ten_lines_run(capsys):
@@ -27,9 +34,30 @@ def test_the_ten_lines_run(capsys):
 def test_the_python_in_docs_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     shutil.copy(RECORD, tmp_path / "CICLC.v1")  # the pages read a file of this name
+    run(page)
+
+
+def run(page, slow=False):
     names = {}  # a page goes on where its last block stopped
-    for code in blocks(page):
+    for code in blocks(page, slow):
         exec(compile(code, page.name, "exec"), names)
+
+
+def test_a_long_block_waits_for_the_slow_suite(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(f"```python\nx = 1\n```\n\n{LONG}```python\nassert x == 2\n```\n", encoding="utf-8")
+    run(page)
+    with pytest.raises(AssertionError):
+        run(page, slow=True)
+
+
+@pytest.mark.slow
+def test_pages_with_long_blocks_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(RECORD, tmp_path / "CICLC.v1")
+    for page in PAGES:
+        if blocks(page) != blocks(page, slow=True):
+            run(page, slow=True)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)

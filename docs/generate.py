@@ -1,0 +1,244 @@
+"""Write the reference pages that come from code: scenarios, controllers, columns, command line, API.
+
+    python docs/generate.py
+
+A test holds the pages against what this would write, so that they cannot fall behind.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import math
+import re
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+DOCS = Path(__file__).parent
+ROOT = DOCS.parent
+sys.path.insert(0, str(ROOT))  # this checkout, whatever is installed
+
+from agents.__main__ import COMMANDS  # noqa: E402
+from agents.frames import COLUMNS  # noqa: E402
+from agents.scenario_command import flattened  # noqa: E402
+from baselines.catalogue import BASELINES  # noqa: E402
+from baselines.registry import reference_name, tuned_parameters  # noqa: E402
+from shake_env import SCENARIO_NAMES, make_scenario  # noqa: E402
+from shake_env.errors import ShakeError  # noqa: E402
+from shake_env.scenario import Scenario  # noqa: E402
+
+NOTE = "<!-- Made by docs/generate.py from the code. -->\n"
+PACKAGES = {
+    "shake_env": "Physics and the Gymnasium environment: numpy, SciPy, Gymnasium, array-api-compat.",
+    "baselines": "Classical controllers, each a `Controller`.",
+    "agents": "Learning, comparison and the command line: what needs torch, SB3 or a terminal.",
+}
+DESIGNABLE = ("linear", "as-printed", "laboratory", "unknown-specimen", "yielding")
+
+
+def table(heading: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """Return a markdown table."""
+    lines = [heading, tuple("---" for _ in heading), *rows]
+    return "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |\n" for row in lines)
+
+
+def shown(value: object) -> str:
+    """Return a field's value as a reader would type it."""
+    if isinstance(value, list):
+        return "[" + ", ".join(shown(each) for each in value) + "]"
+    if isinstance(value, float):
+        return "inf" if math.isinf(value) else f"{value:.6g}"
+    return str(value)
+
+
+def comment(scenario: Scenario, path: str) -> str:
+    """Return unit and meaning of a field: the comment on its own line, or the docstring below it."""
+    *owners, name = path.split(".")
+    part: object = scenario
+    for owner in owners:
+        if isinstance(part, tuple):
+            part = next(sensor for sensor in part if sensor.signal == owner)
+            continue
+        attribute, _, place = owner.rstrip("]").partition("[")
+        part = getattr(part, attribute)
+        if place and isinstance(part, tuple):
+            part = part[int(place)]
+    source = inspect.getsource(type(part))
+    pattern = rf"^    {name}: [^#\n]*(?:# *(?P<comment>.+)|\n    \"\"\"(?P<text>[^\"]+)\"\"\")$"
+    found = re.search(pattern, source, re.MULTILINE)
+    text = " ".join((found["comment"] or found["text"]).split()) if found else ""
+    return re.sub(r":\w+:`(\w+)`", r"`\1`", text)  # a docstring's cross-reference is no markdown
+
+
+def scenarios() -> str:
+    """Return the page of every scenario, field by field."""
+    every = {name: dict(flattened(make_scenario(name))) for name in SCENARIO_NAMES}
+    usual, linear = every["linear"], make_scenario("linear")
+    rows = [
+        (f"`{path}`", shown(value), comment(linear, path))
+        for path, value in usual.items()
+        if path != "name"
+    ]
+    parts = [
+        "# Scenarios, field by field\n",
+        NOTE,
+        "Every field of a scenario has a path, which `fields={...}` takes in Python and `--set` on the "
+        "command line. `shake scenario --scenario NAME` prints the same.\n",
+        "## linear\n",
+        "The scenario that others are described against.\n",
+        table(("field", "value", "unit, meaning"), rows),
+    ]
+    for name in SCENARIO_NAMES[1:]:
+        scenario, values = make_scenario(name), every[name]
+        rows = [
+            (f"`{path}`", shown(value), shown(usual.get(path, "-")), comment(scenario, path))
+            for path, value in values.items()
+            if path != "name" and usual.get(path) != value
+        ]
+        layout = scenario.observation
+        parts += [
+            f"## {name}\n",
+            f"[What is in it, and why](../scenarios/{name}.md). An observation has {layout.size} "
+            f"entries, at {scenario.control_rate:g} Hz. "
+            f"Costs are relative to `{reference_name(scenario)}`.\n",
+            table(("field", "value", "in linear", "unit, meaning"), rows),
+        ]
+    return "\n".join(parts)
+
+
+def suits(name: str, scenario: Scenario) -> bool:
+    """Return whether a controller can be designed for a scenario."""
+    baseline = BASELINES[name]
+    if baseline.repeats_tests:
+        return True
+    try:
+        baseline.make(scenario, **{each: t.default for each, t in baseline.tunable.items()})
+    except ShakeError:
+        return False
+    return True
+
+
+def controllers() -> str:
+    """Return the page of every controller and its free parameters."""
+    built = {name: make_scenario(name) for name in DESIGNABLE}
+    rows, tuned = [], []
+    for name, baseline in BASELINES.items():
+        places = ", ".join(s for s, scenario in built.items() if suits(name, scenario))
+        rows.append((f"`{name}`", baseline.summary, places))
+        for each, t in baseline.tunable.items():
+            found = {s: tuned_parameters(name, s).get(each) for s in DESIGNABLE}
+            values = ", ".join(f"{s} {value:.4g}" for s, value in found.items() if value is not None)
+            kind = "logarithmic" if t.logarithmic else "linear"
+            tuned.append(
+                (f"`{name}`", f"`{each}`", f"{t.low:g} to {t.high:g}, {kind}", f"{t.default:g}", values)
+            )
+    return "\n".join([
+        "# Controllers and their parameters\n",
+        NOTE,
+        "Every name is one that `shake compare --controllers` and `make_baseline` take. "
+        "[Which one, and when](../controllers.md) has the numbers.\n",
+        table(("name", "what it is", "can be designed for"), rows),
+        "`records` has the laboratory's table, and takes what suits `laboratory`.\n",
+        "## Free parameters\n",
+        "What `shake tune` searches, and what it found for each scenario (`baselines/tuned.json`). "
+        "Where nothing was tuned the default holds.\n",
+        table(("controller", "parameter", "range", "default", "tuned"), tuned),
+    ])  # fmt: skip
+
+
+def columns() -> str:
+    """Return the page of the columns of results."""
+    rows = [(f"`{name}`", column.unit, column.meaning) for name, column in COLUMNS.items()]
+    return "\n".join([
+        "# Columns of results\n",
+        NOTE,
+        "`Comparison.to_frame(\"episodes\")`, `\"summaries\"` and `\"traces\"` return pandas frames, "
+        "`shake compare --output DIR` writes `episodes.csv` and `summary.csv`, and `--json` has the "
+        "same names. `frame.attrs[\"units\"]` holds the units. A ratio has the unit `-`, a count `1`.\n",
+        table(("column", "unit", "meaning"), rows),
+        """```python
+from agents.compare import compare
+from shake_env import make_scenario
+
+result = compare(make_scenario("linear", {"duration": 2.0}), ("lqr", "none"), noise=4, records=False)
+frame = result.to_frame()
+print(frame.groupby("controller")[["cost", "base_shear_rms_error"]].mean())
+assert frame.attrs["units"]["peak_current"] == "A"
+```
+""",
+    ])  # fmt: skip
+
+
+def command_line() -> str:
+    """Return the page of the commands: their purpose and what to try, from their docstrings."""
+    parts = [
+        "# Command line\n", NOTE,
+        "`shake COMMAND --help` lists every option with its unit. `--json` prints one object on "
+        "standard output and nothing else there. An error in what was asked returns 2, an "
+        "interruption 130.\n",
+    ]  # fmt: skip
+    for name, command in COMMANDS.items():
+        text, _, tries = (command.__doc__ or "").partition("Try:")
+        lines = [line.strip() for line in text.strip().splitlines()]
+        parts += [f"## shake {name}\n", "\n".join(lines).strip() + "\n"]
+        examples = [line.strip() for line in tries.strip().splitlines()]
+        parts.append("```sh\n" + "\n".join(examples) + "\n```\n")
+        own = [f.name for f in fields(command) if f.name not in ("scenario", "json")]
+        options = ", ".join(f"`{option.replace('_', '-')}`" for option in own)
+        parts.append(f"Options of its own: {options or 'none'}.\n")
+    return "\n".join(parts)
+
+
+def public_modules(package: str) -> list[str]:
+    """Return the dotted names of a package's modules that say something in a docstring."""
+    names = []
+    for path in sorted((ROOT / package).rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        if parts[-1] == "__main__" or any(part.startswith("_") for part in parts[:-1]):
+            continue
+        module = parts[:-1] if parts[-1] == "__init__" else parts
+        if ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))):
+            names.append(".".join(module))
+    return names
+
+
+def own_names(path: Path) -> list[str]:
+    """Return the public functions and classes that a file defines itself."""
+    kinds = ast.FunctionDef | ast.ClassDef
+    body = ast.parse(path.read_text(encoding="utf-8")).body
+    return [node.name for node in body if isinstance(node, kinds) and not node.name.startswith("_")]
+
+
+def api(package: str) -> str:
+    """Return a package's API page: a heading a module, its public names below.
+
+    What a package passes on from its modules stands where it is defined, and there alone.
+    """
+    text = [f"# API, {package}\n", NOTE, PACKAGES[package] + "\n"]
+    for module in public_modules(package):
+        text.append(f"::: {module}\n")
+        start = ROOT.joinpath(*module.split("."), "__init__.py")
+        if start.is_file():
+            names = own_names(start)
+            listed = f" [{', '.join(names)}]" if names else " false"
+            text[-1] += f"    options:\n      members:{listed}\n"
+    return "\n".join(text)
+
+
+def pages() -> dict[Path, str]:
+    """Return every generated page by its path."""
+    made = {
+        DOCS / "reference" / "scenarios.md": scenarios(),
+        DOCS / "reference" / "controllers.md": controllers(),
+        DOCS / "reference" / "columns.md": columns(),
+        DOCS / "reference" / "command-line.md": command_line(),
+    }
+    return made | {DOCS / "api" / f"{package}.md": api(package) for package in PACKAGES}
+
+
+if __name__ == "__main__":
+    for path, text in pages().items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+        print(f"wrote {path.relative_to(ROOT)}")

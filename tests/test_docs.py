@@ -1,0 +1,226 @@
+"""The site builds strictly, without a network; generated pages are current; commands are understood."""
+
+import ast
+import re
+import runpy
+import shlex
+import shutil
+import socket
+from pathlib import Path
+
+import pytest
+import tyro
+
+from agents.__main__ import COMMANDS, main
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+PACKAGES = ("shake_env", "baselines", "agents")
+RECORD = ROOT / "tests" / "data" / "CICLC_trimmed.v1"
+
+
+@pytest.fixture(scope="module")
+def generator():
+    return runpy.run_path(str(DOCS / "generate.py"))
+
+
+# The site
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The built site; a look-up of any host fails, and the strict build with it."""
+    from mkdocs.commands.build import build
+    from mkdocs.config import load_config
+
+    folder = tmp_path_factory.mktemp("site")
+    patch = pytest.MonkeyPatch()
+
+    def no_network(*arguments, **options):
+        raise OSError("the site must build without a network")
+
+    patch.setattr(socket, "getaddrinfo", no_network)
+    patch.setattr(socket.socket, "connect", no_network)
+    patch.setenv("NO_MKDOCS_2_WARNING", "1")
+    with pytest.warns() as caught:  # templates and Markdown extensions warn of their own future
+        import warnings
+
+        warnings.warn("so that there is one", UserWarning, stacklevel=1)
+        config = load_config(str(ROOT / "mkdocs.yml"), site_dir=str(folder), strict=True)
+        build(config)
+    patch.undo()
+    assert all(w.category is not ResourceWarning for w in caught)
+    return folder
+
+
+def test_the_site_has_every_page(site):
+    for page in DOCS.rglob("*.md"):
+        name = page.relative_to(DOCS).with_suffix("")
+        folder = name.parent if name.name in ("index", "README") else name
+        assert (site / folder / "index.html").is_file(), name
+
+
+def test_nothing_comes_from_another_host(site):
+    """Links may lead away; what a browser loads by itself may not."""
+    loaded = re.compile(
+        r"""<(?:script|img|iframe|source)\b[^>]*\bsrc=["']?(?:https?:)?//|"""
+        r"""<link\b[^>]*rel=["']?(?:stylesheet|preconnect|preload)["']?[^>]*href=["']?(?:https?:)?//|"""
+        r"""<link\b[^>]*href=["']?(?:https?:)?//[^>]*rel=["']?(?:stylesheet|preconnect|preload)"""
+    )
+    for page in site.rglob("*.html"):
+        assert not loaded.search(page.read_text(encoding="utf-8")), page
+    for style in site.rglob("*.css"):
+        assert not re.search(r"url\(['\"]?(?:https?:)?//", style.read_text(encoding="utf-8")), style
+
+
+def test_the_rule_about_hosts_can_fail():
+    text = '<link rel="stylesheet" href="https://fonts.example/x.css">'
+    assert re.search(r"<link\b[^>]*rel=[\"']?stylesheet[^>]*href=[\"']?https?://", text)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_the_api_pages_hold_every_public_name(site, package):
+    html = (site / "api" / package / "index.html").read_text(encoding="utf-8")
+    anchors = set(re.findall(r'id="([\w.]+)"', html))
+    for module in modules(package):
+        assert module in anchors, module
+        missing = [name for name in own_names(module) if f"{module}.{name}" not in anchors]
+        assert not missing, module
+
+
+# Docstrings
+
+
+def modules(package):
+    """Dotted names of a package's modules; empty files and the command line's start are none."""
+    for path in sorted((ROOT / package).rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        if parts[-1] != "__main__" and path.read_text(encoding="utf-8").strip():
+            yield ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def own_names(module):
+    """Public functions and classes of a module, by its source: nothing is imported or compiled."""
+    path = ROOT.joinpath(*module.split("."))
+    path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            yield node.name
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_public_name_has_a_docstring(package):
+    """By the source, so that names behind a decorator count. A setter's text is its getter's."""
+    bare, counted = [], 0
+    for path in sorted((ROOT / package).rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        if not tree.body:
+            continue
+        counted += 1
+        if not ast.get_docstring(tree):
+            bare.append(path.name)
+        owners = [tree, *(node for node in tree.body if isinstance(node, ast.ClassDef))]
+        for owner in owners:
+            if isinstance(owner, ast.ClassDef) and owner.name.startswith("_"):
+                continue
+            for node in owner.body:
+                if not isinstance(node, ast.FunctionDef | ast.ClassDef) or node.name.startswith("_"):
+                    continue
+                counted += 1
+                setter = any(ast.unparse(d).endswith(".setter") for d in node.decorator_list)
+                if not ast.get_docstring(node) and not setter:
+                    bare.append(f"{path.name}: {node.name}")
+    assert counted > 100
+    assert not bare
+
+
+# Generated pages
+
+
+def test_generated_pages_are_current(generator):
+    for path, text in generator["pages"]().items():
+        assert path.read_text(encoding="utf-8") == text, f"{path.name}: run python docs/generate.py"
+
+
+def test_every_module_is_on_an_api_page(generator):
+    for package in PACKAGES:
+        page = (DOCS / "api" / f"{package}.md").read_text(encoding="utf-8")
+        assert re.findall(r"^::: ([\w.]+)$", page, re.MULTILINE) == list(modules(package))
+
+
+def test_the_field_table_says_a_unit_for_nearly_every_number(generator):
+    """A field's comment carries it, and the table's third column is that comment."""
+    page = (DOCS / "reference" / "scenarios.md").read_text(encoding="utf-8")
+    linear = page.split("## linear\n")[1].split("\n## ")[0]
+    rows = [line.split(" | ") for line in linear.splitlines() if line.startswith("| `")]
+    silent = [row[0] for row in rows if re.fullmatch(r"[\d.e+-]+|inf", row[1]) and "[" not in row[2]]
+    assert len(rows) > 60
+    assert {name.strip("| `") for name in silent} <= {"nonlinearity.valve.dead_band", "sensing.history"}
+
+
+# Commands
+
+
+def commands():
+    """Every line that begins with ``shake``, in shell blocks and in blocks indented by four blanks."""
+    found = {}
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        shell = "\n".join(re.findall(r"```sh\n(.*?)```", text, re.DOTALL))
+        indented = "\n".join(line[4:] for line in text.splitlines() if line.startswith("    shake "))
+        for line in re.sub(r"\\\n\s*", " ", f"{shell}\n{indented}").splitlines():
+            start = re.search(r"(?:^|[\s/])shake (?=[a-z])", line)
+            if start is None or line.lstrip().startswith("#"):
+                continue
+            words = shlex.split(line[start.end() :].strip(), comments=True)
+            for stop in (">", "|"):
+                words = words[: words.index(stop)] if stop in words else words
+            found.setdefault(tuple(words), page.name)
+    return found
+
+
+LINES = commands()
+
+
+def parsed(words):
+    # {} and $NAME stand for a number, a folder or a file in loops and batch scripts.
+    words = [re.sub(r"\{\}|\$\w+", "0", word) for word in words]
+    return tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="shake", args=words)
+
+
+def test_the_pages_name_every_command():
+    assert {words[0] for words in LINES} == set(COMMANDS)
+    assert len(LINES) > 40
+
+
+@pytest.mark.parametrize("words", LINES, ids=lambda words: " ".join(words)[:60])
+def test_every_command_line_is_understood(words):
+    """Parsed by the command line itself; a scenario is built as well, with what --set changes."""
+    uppercase = {"NAME": "linear", "CONTROLLER": "tvc", "SCENARIO": "laboratory", "FILE": "x.at2"}
+    command = parsed([uppercase.get(word, word) for word in words])
+    options = getattr(command, "scenario", None)
+    if hasattr(options, "build"):
+        options.build()
+
+
+def test_a_mistaken_option_is_not_understood(capsys):
+    with pytest.raises(SystemExit):
+        parsed(["compare", "--storeys", "5"])
+    capsys.readouterr()
+
+
+CHEAP = ("design", "scenario", "motion")
+
+
+@pytest.mark.parametrize(
+    "words", [w for w in LINES if w[0] in CHEAP and "NAME" not in w], ids=lambda w: " ".join(w)[:60]
+)
+def test_cheap_commands_run(words, tmp_path, monkeypatch, capsys):
+    if words[0] == "motion" and words[1] != "CICLC.v1":
+        pytest.skip("reads a file that the reader brings")
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(RECORD, tmp_path / "CICLC.v1")
+    quiet = [] if "--json" in words else ["--json"]  # draws no figure
+    assert main([*words, *quiet]) == 0
+    assert capsys.readouterr().out.startswith("{")
