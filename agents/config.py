@@ -156,8 +156,8 @@ class TrainConfig:
     """A training episode ends when a scaled state leaves this bound [multiples of its rms]."""
     hidden: tuple[int, ...] = (64, 64)
     """Width of each hidden layer."""
-    evaluation_interval: float = 30.0
-    """Wall time between evaluations [s]; also written by the last step."""
+    evaluations: int = 20
+    """Evaluations over the run, the first before it, and one after it; the best one's policy is kept."""
     evaluation_earthquakes: int = 32
     """Fixed earthquakes of an evaluation."""
     checkpoint_interval: float = 60.0
@@ -167,7 +167,7 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         require_positive(
-            self, "episode", "state_limit", "evaluation_interval",
+            self, "episode", "state_limit", "evaluations",
             "evaluation_earthquakes", "checkpoint_interval", "threads",
         )  # fmt: skip
         for name in ("total_steps", "horizon"):

@@ -23,6 +23,7 @@ from agents.code_version import code_version
 from agents.config import TrainConfig, read_config
 from agents.export import export_policy
 from agents.models import Model, new_model
+from agents.policy_file import load_policy
 from agents.progress import Progress
 from agents.report_estimates import learning_curve
 from agents.sb3_vec_env import ShakeTableVecEnv
@@ -35,6 +36,7 @@ from shake_env.motion import FilteredNoise
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario import Scenario
 
+BEST = "best.safetensors"  # in a run directory: the policy that did best so far
 EVALUATION_SEED = 1_000_000  # training seeds lie far below, so that no evaluation motion is trained on
 
 
@@ -48,6 +50,7 @@ class TrainResult:
     cost_ratio: float
     cost: float
     lqr_cost: float  # of the reference: LQR, or the clairvoyant where LQR is none (see _reference)
+    best_steps: int  # at which the policy that is kept was evaluated; its are the costs above
 
 
 def train(
@@ -139,7 +142,11 @@ def _intensity(scenario: Scenario) -> float:
 
 
 class _Watch(BaseCallback):
-    """Evaluates and checkpoints between roll-outs, by wall time; changes nothing about the training."""
+    """Evaluates and checkpoints between roll-outs; changes nothing about the training.
+
+    Evaluations go by steps, so that a run that was interrupted keeps the same policy for its best as one
+    that was not; checkpoints go by wall time.
+    """
 
     def __init__(
         self,
@@ -157,16 +164,26 @@ class _Watch(BaseCallback):
         )
         self.earthquakes, self.lqr_cost = _reference(self.scenario, self.earthquakes)
         self.started = time.monotonic()
-        self.evaluated = self.saved = self.told = -np.inf
+        self.saved = self.told = -np.inf
+        self.passed = -1  # number of the last evaluation that was due
         self.cost_ratio: float | None = None
         self.evaluations = [ratio for _, ratio in learning_curve(str(run))]
         self.errors: tuple[float, float] | None = None
 
+    def _due(self, steps: int) -> int:
+        return steps * self.config.evaluations // self.config.steps
+
+    def _on_training_start(self) -> None:
+        behind = [
+            steps for steps, _ in learning_curve(str(self.run)) if steps <= self.model.num_timesteps
+        ]
+        self.passed = max(map(self._due, behind), default=-1)
+
     def _on_rollout_start(self) -> None:
         now = time.monotonic()
-        if now - self.evaluated >= self.config.evaluation_interval:
+        if self._due(self.model.num_timesteps) > self.passed:
+            self.passed = self._due(self.model.num_timesteps)
             self.evaluate()
-            self.evaluated = time.monotonic()
         if now - self.saved >= self.config.checkpoint_interval:
             save_checkpoint(self.run, self.model, self.tables)  # type: ignore[arg-type]
             self.saved = now
@@ -190,8 +207,8 @@ class _Watch(BaseCallback):
             )
         )
 
-    def evaluate(self) -> float:
-        """Return the policy's mean cost on the fixed earthquakes, and write it down."""
+    def evaluate(self) -> None:
+        """Write the policy's mean cost on the fixed earthquakes down, and keep it if it is the best."""
         policy = export_policy(self.model, self.tables, {})
         metrics, found = rollout(policy, self.scenario, self.earthquakes, record=(0,))
         cost = float(np.mean([m.cost for m in metrics]))
@@ -216,7 +233,8 @@ class _Watch(BaseCallback):
         }
         with (self.run / "evaluations.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
-        return cost
+        if self.cost_ratio <= min(ratio for _, ratio in learning_curve(str(self.run))):
+            policy.save(self.run / BEST)
 
 
 def lqr_suits(scenario: Scenario) -> bool:
@@ -243,9 +261,8 @@ def _reference(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[l
 
 def _curve(run: Path) -> list[list[float]]:
     """Return the learning curve so far: steps and cost ratio of each evaluation."""
-    rows = map(json.loads, (run / "evaluations.jsonl").read_text(encoding="utf-8").splitlines())
-    # A resumed run evaluates once more where it went on from: the last of them counts.
-    curve = {row["steps"]: row["cost_ratio"] for row in rows}
+    # A run that was interrupted evaluates again what its last checkpoint had not seen yet.
+    curve = dict(learning_curve(str(run)))
     return [[steps, curve[steps]] for steps in sorted(curve)]
 
 
@@ -265,16 +282,18 @@ def _run(
             # SB3 counts what is added to the steps done, and its learning rate from the sum.
             model.learn(remaining, callback=watch, reset_num_timesteps=False, log_interval=10)
         watch.init_callback(model)
-        cost = watch.evaluate()
+        watch.evaluate()
         save_checkpoint(run, model, env)
         watch.tell()
+    best_steps, best = min(_curve(run), key=lambda point: point[1])
     result = TrainResult(
         run=str(run),
         steps=model.num_timesteps,
         seconds=time.monotonic() - watch.started,
-        cost_ratio=cost / watch.lqr_cost,
-        cost=cost,
+        cost_ratio=best,
+        cost=best * watch.lqr_cost,
         lqr_cost=watch.lqr_cost,
+        best_steps=int(best_steps),
     )
     card = {
         "control_rate": watch.scenario.control_rate,
@@ -285,6 +304,6 @@ def _run(
         "evaluation": {key: value for key, value in asdict(result).items() if key != "run"},
         "curve": _curve(run),
     }
-    export_policy(model, env, card).save(run / "policy.safetensors")
+    replace(load_policy(run / BEST), card=card).save(run / "policy.safetensors")
     (run / "result.json").write_text(json.dumps(asdict(result), indent=2) + "\n", encoding="utf-8")
     return result

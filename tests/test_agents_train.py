@@ -33,7 +33,7 @@ def small(algorithm, memory=0, **changes):
         hidden=(16,),
         episode=0.2,
         total_steps=512,
-        evaluation_interval=1e9,
+        evaluations=1,
         evaluation_earthquakes=2,
         checkpoint_interval=1e-9,
         **changes,

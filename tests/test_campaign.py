@@ -27,7 +27,7 @@ SMALL = TrainConfig(
     hidden=(8,),
     episode=0.2,
     total_steps=8_192,
-    evaluation_interval=1e9,
+    evaluations=1,
     evaluation_earthquakes=1,
     checkpoint_interval=1e-9,
 )

@@ -37,7 +37,7 @@ def test_every_algorithm_writes_what_tensorboard_shows(algorithm, tmp_path):
         ppo=PPOOptions(tables=4, rollout_steps=16, batch_size=64, epochs=1),
         sac=SACOptions(tables=32, batch_size=32, gradient_steps=1, buffer_size=1000, warmup_steps=32),
         analytic=AnalyticOptions(tables=4, window=8),
-        hidden=(8,), episode=0.2, total_steps=128, evaluation_interval=1e-9, evaluation_earthquakes=2,
+        hidden=(8,), episode=0.2, total_steps=128, evaluations=1000, evaluation_earthquakes=2,
     )  # fmt: skip
     seen = []
     result = train(config, tmp_path / "run", report=seen.append)
