@@ -115,24 +115,39 @@ RECIPES: tuple[Recipe, ...] = (
     _recipe("friction", TrainConfig(ppo=PPOOptions(scale_free=False)), 4.0, _BIASES),
     _recipe(
         "laboratory",
-        TrainConfig(algorithm="analytic", analytic=AnalyticOptions(scale_free=False), **_WHOLE),
-        17.0,
-        _BIASES,
+        TrainConfig(
+            algorithm="analytic",
+            analytic=AnalyticOptions(base="lqg-accommodating", authority=0.3, scale_free=False),
+            total_steps=6_144_000,
+        ),
+        8.0,
+        "corrects the law that compensates; from nothing, with a memory, it ended above that law",
     ),
     _recipe("laboratory", TrainConfig(ppo=PPOOptions(scale_free=False), **_WHOLE), 4.0, _BIASES),
     _recipe(
         "unknown-specimen",
-        TrainConfig(algorithm="analytic", analytic=AnalyticOptions(memory=64), **_WHOLE),
-        5.0,
+        TrainConfig(
+            algorithm="analytic",
+            analytic=AnalyticOptions(base="lqg-accommodating", memory=64),
+            total_steps=6_144_000,
+            **_WHOLE,
+        ),
+        6.0,
         "a memory: what a specimen weighs lies in how the table answered, not in what it shows now",
     ),
     _recipe("unknown-specimen", TrainConfig(ppo=PPOOptions(scale_free=False), **_WHOLE), 4.0, _BIASES),
     _recipe("unknown-specimen", TrainConfig(algorithm="recurrent-ppo", **_WHOLE), 6.0),
     _recipe(
         "yielding",
-        TrainConfig(algorithm="analytic", analytic=AnalyticOptions(scale_free=False), **_WHOLE),
-        12.0,
-        _BIASES,
+        TrainConfig(
+            algorithm="analytic",
+            analytic=AnalyticOptions(
+                base="preview-lqr", authority=0.3, learning_rate=5e-4, scale_free=False
+            ),
+            total_steps=2_457_600,
+        ),
+        5.0,
+        "corrects the law that sees what comes; a larger step drove it to the stroke's end",
     ),
     _recipe("yielding", TrainConfig(ppo=PPOOptions(scale_free=False), **_WHOLE), 4.0, _BIASES),
     # The realistic scenario that shows the whole state, which a base law needs: from nothing, a critic
