@@ -128,7 +128,9 @@ RECIPES: tuple[Recipe, ...] = (
         "unknown-specimen",
         TrainConfig(
             algorithm="analytic",
-            analytic=AnalyticOptions(base="lqg-accommodating", memory=64),
+            analytic=AnalyticOptions(
+                base="lqg-accommodating", authority=0.2, learning_rate=3e-4, memory=64
+            ),
             total_steps=6_144_000,
             **_WHOLE,
         ),
