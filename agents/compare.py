@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +15,9 @@ from scipy.stats import bootstrap
 import shake_env
 from agents.fidelity import Fidelity, fidelity
 from agents.frames import Rows, to_frame
-from agents.free_design import FREE, as_free, free_design
+from agents.free_design import FREE, found_by_search
 from agents.policy_file import load_policy
+from agents.shipped import SHIPPED, shipped_policy
 from baselines.catalogue import BASELINES
 from baselines.clairvoyant import clairvoyant
 from baselines.registry import make_baseline, reference_name, tuned_parameters
@@ -33,7 +33,6 @@ from shake_env.trajectory import Trajectory
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-SHIPPED = {"policy": "linear-ppo", "analytic": "linear-analytic"}  # what comes with the package
 FIGURES = (
     "acceleration_rms_error",
     "acceleration_peak_error",
@@ -111,11 +110,6 @@ class Comparison:
         return to_frame(self, rows)
 
 
-def shipped_policy(name: str = "policy") -> Path:
-    """Return a policy file that comes with the package, by its name in `SHIPPED`."""
-    return Path(str(resources.files("agents") / "pretrained" / f"{SHIPPED[name]}.safetensors"))
-
-
 def named_controllers(
     names: Sequence[str], scenario: Scenario, earthquakes: Sequence[Earthquake] | None = None
 ) -> tuple[dict[str, Controller], list[str]]:
@@ -156,13 +150,13 @@ def named_controllers(
                 except ShakeError as error:  # it does not suit the scenario, or its design fails there
                     skipped.append(f"{each} ({error})")
             if tuned_parameters(FREE, scenario.name):
-                controllers[FREE] = _free(scenario)
+                controllers[FREE] = found_by_search(scenario)
         elif name == CLAIRVOYANT:
             continue  # runs on a scenario of its own: `compare` sees to it
         elif name == FREE:
-            controllers[FREE] = _free(scenario)
+            controllers[FREE] = found_by_search(scenario)
         elif name in SHIPPED:
-            policy = load_policy(shipped_policy(name))
+            policy = load_policy(shipped_policy(name, scenario.name))
             try:
                 policy.check(scenario)
                 controllers[name] = policy
@@ -185,11 +179,6 @@ def named_controllers(
             policy.check(scenario)
             controllers[name] = policy
     return controllers, skipped
-
-
-def _free(scenario: Scenario) -> Controller:
-    values = as_free(scenario, {}, accommodates=True) | tuned_parameters(FREE, scenario.name)
-    return free_design(scenario, **values)
 
 
 def decision_time(controller: Controller, scenario: Scenario, decisions: int = 200) -> float:

@@ -13,10 +13,12 @@ from typing import Any
 import shake_env
 from agents.bench import TEST_SEED
 from agents.code_version import code_version
-from agents.compare import CLAIRVOYANT, SHIPPED, decision_time, plain_row, shipped_policy
+from agents.compare import CLAIRVOYANT, decision_time, plain_row
 from agents.fidelity import fidelity
+from agents.free_design import FREE, found_by_search
 from agents.policy_file import PolicyFile, load_policy
 from agents.scores import Episodes, summary
+from agents.shipped import SHIPPED, shipped_policy
 from baselines.catalogue import BASELINES
 from baselines.clairvoyant import clairvoyant
 from baselines.lqr import sampled_lqr
@@ -66,13 +68,13 @@ def contestant(text: str, scenario: Scenario) -> Contestant:
     PolicyFileError
         If a policy cannot be read or does not fit the scenario, or a folder holds none.
     """
-    if text in BASELINES or text == CLAIRVOYANT:
+    if text in BASELINES or text in (CLAIRVOYANT, FREE):
         return Contestant(text)
     if text in SHIPPED:
-        return _learned(text, [shipped_policy(text)], scenario)
+        return _learned(text, [shipped_policy(text, scenario.name)], scenario)
     name, separator, paths = text.rpartition("=")
     if not separator and not (Path(text).exists() or "/" in text or "." in text):
-        raise unknown(ScenarioError, "entry", text, [*BASELINES, CLAIRVOYANT, *SHIPPED])
+        raise unknown(ScenarioError, "entry", text, [*BASELINES, CLAIRVOYANT, FREE, *SHIPPED])
     files = [file for path in paths.split(",") for file in policy_files(Path(path))]
     return _learned(name or Path(paths.split(",")[0]).stem, files, scenario)
 
@@ -269,6 +271,8 @@ def _controller(
         return scenario, each.policies[run]
     if each.name == CLAIRVOYANT:
         return clairvoyant(scenario, quakes)
+    if each.name == FREE:
+        return scenario, found_by_search(scenario)
     return scenario, make_baseline(each.name, scenario, None, quakes)
 
 
@@ -276,6 +280,8 @@ def _latency(each: Contestant, scenario: Scenario) -> float | None:
     """Return the median time [s] of one decision; None for what is made for its own earthquakes."""
     if each.policies:
         return decision_time(each.policies[0], scenario)
+    if each.name == FREE:
+        return decision_time(found_by_search(scenario), scenario)
     if each.name == CLAIRVOYANT or BASELINES[each.name].repeats_tests:
         return None
     return decision_time(make_baseline(each.name, scenario), scenario)

@@ -16,6 +16,7 @@ from baselines.clairvoyant import Rescaled, rescaling
 from baselines.estimator_model import ModelError
 from baselines.lqg import estimated
 from baselines.preview_lqr import PreviewFeedback, preview_lqr
+from baselines.registry import tuned_parameters
 from shake_env.controller import Controller
 from shake_env.parameters import Specimen
 from shake_env.scenario import Scenario
@@ -97,3 +98,9 @@ def free_design(scenario: Scenario, **values: float) -> Controller:
     )
     believed = replace(scenario, delay=max(scenario.delay + values["lateness"], 0.0))
     return estimated(believed, make, error, accommodate=values["accommodation"])
+
+
+def found_by_search(scenario: Scenario) -> Controller:
+    """Return the free design that `shake tune free` found for the scenario's name, defaults else."""
+    defaults = as_free(scenario, {}, accommodates=True)
+    return free_design(scenario, **(defaults | tuned_parameters(FREE, scenario.name)))

@@ -84,7 +84,7 @@ class Card:
 
 
 def _file(text: str) -> Path:
-    from agents.compare import SHIPPED, shipped_policy
+    from agents.shipped import SHIPPED, shipped_policy
 
     if text in SHIPPED:
         return shipped_policy(text)

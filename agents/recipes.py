@@ -57,7 +57,7 @@ class Recipe:
         return replace(self.config, seed=seed)
 
 
-LABORATORY_RIVALS = ("lqg", "lqg-accommodating", "inverse-feedback", "feedforward", "tvc", "none")
+LABORATORY_RIVALS = ("lqg", "lqg-accommodating", "robust", "inverse-feedback", "free", "tvc", "none")
 FRICTION = ScenarioOptions(set=("nonlinearity.friction.coulomb=300",))
 
 ARENAS: tuple[Arena, ...] = (
@@ -74,14 +74,14 @@ ARENAS: tuple[Arena, ...] = (
     Arena(
         name="unknown-specimen",
         options=ScenarioOptions("unknown-specimen"),
-        rivals=("lqg", "lqg-accommodating", "adaptive", "multi-model", "robust", "none"),
+        rivals=("lqg", "lqg-accommodating", "adaptive", "multi-model", "robust", "free", "none"),
         earthquakes=2000,
         fidelity=False,
     ),
     Arena(
         name="yielding",
         options=ScenarioOptions("yielding"),
-        rivals=("preview-lqr", "feedforward", "none"),
+        rivals=("preview-lqr", "robust", "free", "none"),
     ),
 )
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.compare import CLAIRVOYANT, SHIPPED, Comparison, Histories, shipped_policy
+from agents.compare import CLAIRVOYANT, Comparison, Histories
 from agents.fidelity import spectrum
 from agents.policy_file import PolicyFile, load_policy
 from agents.report_estimates import (
@@ -21,6 +21,7 @@ from agents.report_estimates import (
     mean_interval,
 )
 from agents.report_traces import Channel, Curves, achieved_curves, target_curves
+from agents.shipped import SHIPPED, shipped_policy
 from agents.verdict import Verdict, verdict
 from shake_env.errors import PolicyFileError
 from shake_env.rollout import Earthquake

@@ -181,15 +181,15 @@ def chosen_controller(name: str | None, scenario: Scenario) -> Controller:
     PolicyFileError
         If a policy cannot be read or does not fit the scenario.
     """
-    from agents.compare import shipped_policy
     from agents.policy_file import load_policy
+    from agents.shipped import shipped_policy
 
     name = reference_name(scenario) if name is None else name
     if name in BASELINES:
         return make_baseline(name, scenario)
     if name != SHIPPED and not (Path(name).exists() or "/" in name or "." in name):
         raise unknown(ScenarioError, "controller", name, [*BASELINES, SHIPPED])
-    path = shipped_policy() if name == SHIPPED else Path(name)
+    path = shipped_policy(name, scenario.name) if name == SHIPPED else Path(name)
     policy = load_policy(path / "policy.safetensors" if path.is_dir() else path)
     policy.check(scenario)
     return policy

@@ -12,7 +12,6 @@ from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
 
 from agents.algorithm_options import RecurrentPPOOptions, TD3Options, TQCOptions
 from agents.base_law import base_row
-from agents.compare import shipped_policy
 from agents.config import AnalyticOptions, PPOOptions, SACOptions, TrainConfig
 from agents.export import export_policy
 from agents.features import feature_matrix
@@ -20,6 +19,7 @@ from agents.long_short_term import LSTMPolicy
 from agents.models import new_model
 from agents.policy_file import load_policy
 from agents.sb3_vec_env import ShakeTableVecEnv
+from agents.shipped import shipped_policy
 from baselines.lqr import observable_states
 from shake_env import make_scenario
 from shake_env.errors import PolicyFileError

@@ -7,10 +7,10 @@ import pytest
 
 from agents.__main__ import main
 from agents.card import write_card
-from agents.compare import shipped_policy
 from agents.evaluate import contestant, evaluate
 from agents.policy_file import PolicyFile, load_policy
 from agents.result_tables import interval, write_result
+from agents.shipped import shipped_policy
 from shake_env import make_scenario
 from shake_env.errors import ParameterError
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from agents.__main__ import main
-from agents.compare import shipped_policy
 from agents.memory_units import GatedUnit, LongShortTermUnit, rest
 from agents.onnx_export import export_onnx
 from agents.policy_file import PolicyFile, load_policy
+from agents.shipped import shipped_policy
 
 onnxruntime = pytest.importorskip("onnxruntime")
 
