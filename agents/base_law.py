@@ -7,18 +7,20 @@ from typing import Literal
 import numpy as np
 
 from agents.estimated_law import EstimatedLaw
+from agents.free_design import FREE, found_by_search
 from baselines.lqr import action_row, sampled_lqr
 from baselines.preview_lqr import PreviewFeedback
 from baselines.registry import make_baseline
 from shake_env.parameters import FloatArray
 from shake_env.scenario import Scenario
 
-BaseLaw = Literal["none", "flow", "lqr", "preview-lqr", "lqg", "lqg-accommodating"]
+BaseLaw = Literal["none", "flow", "lqr", "preview-lqr", "lqg", "lqg-accommodating", "free"]
 
 
 def base_law(law: BaseLaw, scenario: Scenario) -> FloatArray | EstimatedLaw:
     """Return the law that a policy corrects: a row as `base_row`'s, or one behind an estimator."""
-    if law in ("lqg", "lqg-accommodating"):
+    seen = scenario.sensing.full_state and not scenario.delay
+    if law in ("lqg", "lqg-accommodating") or (law == FREE and not seen):
         return EstimatedLaw.of(law, scenario)
     return base_row(law, scenario)
 
@@ -29,12 +31,13 @@ def base_row(law: BaseLaw, scenario: Scenario) -> FloatArray:
     ``flow`` is the current whose steady flow is what the table's own velocity uses,
     ``u = A_p v_a / (K_q K_v)``: it leaves the policy the flow that accelerates the table. ``lqr`` is the
     sampled-data LQR, so that the policy is a residual on top of it (Silver et al., Residual Policy
-    Learning, 2018); ``preview-lqr`` is the one that sees the coming target.
+    Learning, 2018); ``preview-lqr`` is the one that sees the coming target, and ``free`` what a search
+    over such laws found.
     """
     if law == "none":
         return np.zeros(scenario.observation.size)
-    if law == "preview-lqr":
-        controller = make_baseline(law, scenario)
+    if law in ("preview-lqr", FREE):
+        controller = found_by_search(scenario) if law == FREE else make_baseline(law, scenario)
         assert isinstance(controller, PreviewFeedback)
         return controller.row
     layout, actuator = scenario.plant.layout, scenario.actuator

@@ -13,6 +13,7 @@ from typing import Any
 import array_api_compat
 import numpy as np
 
+from agents.free_design import FREE, found_by_search
 from baselines.lqg import EstimatedState
 from baselines.preview_lqr import PreviewFeedback
 from baselines.registry import make_baseline
@@ -46,14 +47,14 @@ class EstimatedLaw:
 
     @classmethod
     def of(cls, name: str, scenario: Scenario) -> EstimatedLaw:
-        """Return the law of a controller's name, as `make_baseline` designs it.
+        """Return the law of a controller's name, as `make_baseline` or the search designs it.
 
         Raises
         ------
         ScenarioError
             If that is no linear law on an estimate.
         """
-        controller = make_baseline(name, scenario)
+        controller = found_by_search(scenario) if name == FREE else make_baseline(name, scenario)
         if not isinstance(controller, EstimatedState) or not isinstance(controller.law, PreviewFeedback):
             raise ScenarioError("base", name, "is no linear law behind an estimator on this scenario")
         return _matrices(scenario, controller, controller.law.row)

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from baselines.catalogue import Baseline, Tunable
-from baselines.clairvoyant import Rescaled, rescaling
+from baselines.clairvoyant import rescaling
 from baselines.estimator_model import ModelError
 from baselines.lqg import estimated
 from baselines.preview_lqr import PreviewFeedback, preview_lqr
@@ -84,7 +84,9 @@ def free_design(scenario: Scenario, **values: float) -> Controller:
         design = preview_lqr(
             imagined.discrete, cost, sensing.preview, sensing.preview_spacing, values.get("position")
         )
-        return Rescaled(PreviewFeedback(imagined, design), rescaling(full, imagined))
+        law = PreviewFeedback(imagined, design)
+        law.row = law.row * rescaling(full, imagined)  # it reads the nominal specimen's observation
+        return law
 
     if "accommodation" not in values:
         return make(scenario)

@@ -8,6 +8,7 @@ from agents.base_law import base_law
 from agents.config import AnalyticOptions, PPOOptions, TrainConfig
 from agents.estimated_law import EstimatedLaw
 from agents.export import export_policy
+from agents.free_design import FREE, found_by_search
 from agents.models import new_model
 from agents.policy_file import load_policy
 from agents.sb3_vec_env import ShakeTableVecEnv
@@ -20,14 +21,16 @@ torch = pytest.importorskip("torch")
 
 DELAYED = {"fields": {"delay": 2.5, "sensing.preview": 0.1}}
 CASES = [("laboratory", {}), ("unknown-specimen", {}), ("linear", DELAYED)]
+LAWS = [(*case, "lqg-accommodating") for case in CASES] + [("laboratory", {}, FREE)]
 
 
 @pytest.mark.parametrize("kind", ["numpy", "torch"])
-@pytest.mark.parametrize(("name", "overrides"), CASES, ids=str)
-def test_the_matrices_are_the_controller(name, overrides, kind):
+@pytest.mark.parametrize(("name", "overrides", "base"), LAWS, ids=str)
+def test_the_matrices_are_the_controller(name, overrides, base, kind):
     scenario = make_scenario(name, overrides)
-    controller = make_baseline("lqg-accommodating", scenario)
-    law = EstimatedLaw.of("lqg-accommodating", scenario)
+    free = base == FREE
+    controller = found_by_search(scenario) if free else make_baseline(base, scenario)
+    law = EstimatedLaw.of(base, scenario)
     like = torch.zeros(1, dtype=torch.float64) if kind == "torch" else np.zeros(1)
     law, to = law.like(like), torch.as_tensor if kind == "torch" else np.asarray
     rng = np.random.default_rng(0)
