@@ -143,13 +143,11 @@ RECIPES: tuple[Recipe, ...] = (
         "yielding",
         TrainConfig(
             algorithm="analytic",
-            analytic=AnalyticOptions(
-                base="preview-lqr", authority=0.3, learning_rate=5e-4, scale_free=False
-            ),
-            total_steps=2_457_600,
+            analytic=AnalyticOptions(base="free", authority=0.3, learning_rate=5e-4, scale_free=False),
+            total_steps=4_915_200,
         ),
-        5.0,
-        "corrects the law that sees what comes; a larger step drove it to the stroke's end",
+        4.0,
+        "corrects the best law that a search found; a larger step drove it to the stroke's end",
     ),
     _recipe("yielding", TrainConfig(ppo=PPOOptions(scale_free=False), **_WHOLE), 4.0, _BIASES),
     # The realistic scenario that shows the whole state, which a base law needs: from nothing, a critic
