@@ -87,10 +87,16 @@ ARENAS: tuple[Arena, ...] = (
 
 
 def _recipe(
-    arena: str, config: TrainConfig, minutes: float, why: str = "", label: str | None = None
+    arena: str,
+    config: TrainConfig,
+    minutes: float,
+    why: str = "",
+    label: str | None = None,
+    otherwise: tuple[str, ...] = (),
 ) -> Recipe:
+    """Return a recipe; `otherwise` are fields in which its training differs from what it is tested on."""
     options = next(each.options for each in ARENAS if each.name == arena)
-    config = replace(config, scenario=options)
+    config = replace(config, scenario=replace(options, set=(*options.set, *otherwise)))
     default = "the algorithm's defaults"
     return Recipe(arena=arena, config=config, minutes=minutes, why=why or default, label=label)
 
@@ -117,11 +123,13 @@ RECIPES: tuple[Recipe, ...] = (
         "laboratory",
         TrainConfig(
             algorithm="analytic",
-            analytic=AnalyticOptions(base="lqg-accommodating", authority=0.3, scale_free=False),
+            analytic=AnalyticOptions(base="free", authority=0.3, scale_free=False),
             total_steps=6_144_000,
         ),
-        8.0,
-        "corrects the law that compensates; from nothing, with a memory, it ended above that law",
+        4.0,
+        "corrects the best law that a search found, and minds the force more: for a hundredth of the "
+        "cost it has a third less base-shear error",
+        otherwise=("objective.force_weight=5",),
     ),
     _recipe("laboratory", TrainConfig(ppo=PPOOptions(scale_free=False), **_WHOLE), 4.0, _BIASES),
     _recipe(
