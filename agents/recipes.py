@@ -94,7 +94,7 @@ def _recipe(
     label: str | None = None,
     otherwise: tuple[str, ...] = (),
 ) -> Recipe:
-    """Return a recipe; `otherwise` are fields in which its training differs from what it is tested on."""
+    """Return a recipe; `otherwise` are fields in which training differs from what it is tested on."""
     options = next(each.options for each in ARENAS if each.name == arena)
     config = replace(config, scenario=replace(options, set=(*options.set, *otherwise)))
     default = "the algorithm's defaults"

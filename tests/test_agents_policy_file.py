@@ -21,8 +21,10 @@ from agents.policy_file import load_policy
 from agents.sb3_vec_env import ShakeTableVecEnv
 from agents.shipped import shipped_policy
 from baselines.lqr import observable_states
+from baselines.registry import make_baseline, reference_name
 from shake_env import make_scenario
 from shake_env.errors import PolicyFileError
+from shake_env.rollout import noise_earthquakes, recorded_earthquakes, rollout
 
 
 @pytest.mark.parametrize("friction", [0.0, 300.0])
@@ -171,6 +173,22 @@ def test_the_shipped_policy_says_how_it_was_made():
     assert policy.card["command"].startswith("shake train")
     assert policy.card["evaluation"]["cost_ratio"] < 1.25
     assert shipped_policy().stat().st_size < 300_000
+
+
+@pytest.mark.parametrize("scenario_name", ["laboratory", "records", "unknown-specimen", "yielding"])
+def test_what_ships_for_a_scenario_costs_less_than_its_reference(scenario_name):
+    scenario = make_scenario(scenario_name)
+    policy = load_policy(shipped_policy("analytic", scenario_name))
+    policy.check(scenario)
+    assert shipped_policy("analytic", scenario_name).stat().st_size < 500_000
+    if scenario_name == "records":
+        quakes = recorded_earthquakes(scenario)[:2]
+    else:
+        quakes = noise_earthquakes(scenario, 3, seed=5_000_000)
+    reference = make_baseline(reference_name(scenario), scenario)
+    ours, theirs = (rollout(each, scenario, quakes)[0] for each in (policy, reference))
+    assert all(row.broken_limit is None for row in ours)
+    assert sum(row.cost for row in ours) < 0.95 * sum(row.cost for row in theirs)
 
 
 def test_a_missing_file_is_named(tmp_path):
