@@ -4,16 +4,18 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from agents.__main__ import main
-from agents.base_law import base_row
+from agents.base_law import base_law
 from agents.campaign import Campaign, plan, plan_rows
 from agents.campaign_results import evaluate_arena
 from agents.checkpoint import checkpoints
 from agents.config import PPOOptions, TrainConfig
+from agents.estimated_law import EstimatedLaw
 from agents.evaluate import contestant
 from agents.models import ALGORITHMS
 from agents.options import ScenarioOptions
@@ -137,8 +139,13 @@ def test_recipes_are_sound():
     arenas = {arena.name: arena for arena in ARENAS}
     for recipe in RECIPES:
         scenario = recipe.config.scenario.build()
-        assert recipe.config.scenario == arenas[recipe.arena].options
-        assert base_row(recipe.config.chosen.base, scenario).shape == (scenario.observation.size,)
+        tested = arenas[recipe.arena].options
+        trained = recipe.config.scenario
+        assert replace(trained, set=tested.set) == tested
+        assert trained.set[: len(tested.set)] == tested.set  # what differs in training is named behind
+        law = base_law(recipe.config.chosen.base, scenario)
+        size = law.observation_size if isinstance(law, EstimatedLaw) else len(law)
+        assert size == scenario.observation.size
     for arena in ARENAS:
         scenario = arena.options.build()
         assert (arena.trained_on or arena.name) in {recipe.arena for recipe in RECIPES}

@@ -61,5 +61,5 @@ def test_a_result_of_other_policies_is_refused(evaluated, tmp_path):
         write_card(other, [folder / "result.json"])
     with pytest.raises(ParameterError, match="cannot be read"):
         write_card(other, [tmp_path / "absent.json"])
-    assert [path.name for path in write_card(other)] == ["other.md"]
+    assert [path.name for path in write_card(other)] == ["other.md", "other.png"]
     assert "Not evaluated on test earthquakes yet." in other.with_suffix(".md").read_text()

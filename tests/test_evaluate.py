@@ -112,7 +112,9 @@ def test_an_unknown_specimen_is_measured_by_the_clairvoyant():
     cost = {name: np.mean(e["cost"]) for name, e in result["episodes"].items()}
     for name in ("lqg", "none"):
         expected = (cost["lqg"] - cost[name]) / (cost["lqg"] - cost["clairvoyant"])
-        assert by_name[name]["regret_closed"]["value"] == pytest.approx(expected, abs=1e-5)
+        # A file's numbers have seven digits, and none's share is five hundred times the regret.
+        found = by_name[name]["regret_closed"]["value"]
+        assert found == pytest.approx(expected, abs=1e-5, rel=1e-5)
     assert by_name["clairvoyant"]["regret_closed"] is None
     assert by_name["clairvoyant"]["decision_time"] is None
     assert by_name["none"]["drift_error"] is None
