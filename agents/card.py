@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from matplotlib.ticker import FormatStrFormatter
+from matplotlib.ticker import FormatStrFormatter, NullFormatter
 
 from agents.evaluate import digest
 from agents.figure_style import BLUE, GREY, figure_style, new_figure
@@ -207,10 +207,14 @@ def draw_curve(curve: Sequence[Sequence[float]], file: Path) -> None:
         steps = [row[0] / 1e6 for row in curve]
         axes.plot(steps, [row[1] for row in curve], color=BLUE, marker="o", markersize=3.0)
         axes.axhline(1.0, color=GREY, linewidth=1.0, linestyle=(0, (4, 2)))
-        if max(row[1] for row in curve) > 3.0:
+        ratios = [row[1] for row in curve]
+        if max(ratios) > 3.0:
             axes.set_yscale("log")
-            for which in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
-                which(FormatStrFormatter("%g"))
+            axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+            # Within a decade the ticks between its ends are all there is to read.
+            narrow = max(ratios) < 10.0 * min(ratios)
+            between = FormatStrFormatter("%g") if narrow else NullFormatter()
+            axes.yaxis.set_minor_formatter(between)
         axes.set_xlabel("control periods of all tables [million]")
         axes.set_ylabel("cost / reference [-]")
         figure.savefig(file, metadata={"Software": None})
