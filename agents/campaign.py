@@ -96,11 +96,11 @@ class Campaign:
 
         Interrupted, the processes end with it and the runs go on from their checkpoints another time.
         """
-        todo = [i for i, task in enumerate(self.tasks) if task.state in ("begun", "waiting")]
+        queue = [i for i, task in enumerate(self.tasks) if task.state in ("begun", "waiting")]
         with self._ended():
-            while todo or self._running:
-                while todo and len(self._running) < self.processes:
-                    self._start(todo.pop(0))
+            while queue or self._running:
+                while queue and len(self._running) < self.processes:
+                    self._start(queue.pop(0))
                 time.sleep(0.25)
                 for i, process in list(self._running.items()):
                     self.tasks[i].watch()

@@ -218,6 +218,7 @@ CHEAP = ("design", "scenario", "motion")
 )
 def test_cheap_commands_run(words, tmp_path, monkeypatch, capsys):
     if words[0] == "motion" and words[1] != "CICLC.v1":
+        # The page stands for the reader's own record; its line is parsed above, and CICLC.v1's is run.
         pytest.skip("reads a file that the reader brings")
     monkeypatch.chdir(tmp_path)
     shutil.copy(RECORD, tmp_path / "CICLC.v1")
