@@ -90,6 +90,13 @@ def markdown(result: dict[str, Any]) -> str:
         )
     number = result["rows"][0]["earthquakes"]
     lines.append("")
+    for row in result["rows"]:
+        if row["damage"] is not None:
+            lines.append(
+                f"`{row['controller']}` takes {row['tests']} tests of each earthquake, the one that "
+                f"counts included; before that one the specimen has dissipated {row['damage']:.1f} "
+                "times the energy of a perfect test (median). "
+            )
     lines.append(
         f"{number} earthquakes, seed {result['seed']}, version {result['version']}, {result['machine']}."
     )

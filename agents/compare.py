@@ -20,6 +20,7 @@ from agents.policy_file import load_policy
 from agents.shipped import SHIPPED, shipped_policy
 from baselines.catalogue import BASELINES
 from baselines.clairvoyant import clairvoyant
+from baselines.drive_file import DriveFile
 from baselines.registry import make_baseline, reference_name, tuned_parameters
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError, PolicyFileError, ScenarioError, ShakeError, unknown
@@ -69,7 +70,9 @@ class GroupSummary:
     arias_ratio: float
     drift_ratio: float
     energy_ratio: float
-    decision_time: float  # [s] median of one decision for one table
+    decision_time: float  # [s] of the processor, median of one decision for one table; NaN: prepared
+    tests: int  # of each earthquake that it takes, the one that counts included
+    damage: float  # median energy of the tests before that over one perfect test's [-]; NaN: none
 
 
 @dataclass(frozen=True)
@@ -182,14 +185,17 @@ def named_controllers(
 
 
 def decision_time(controller: Controller, scenario: Scenario, decisions: int = 200) -> float:
-    """Return the median time [s] of one decision for one table, in its episode."""
+    """Return the median processor time [s] of one decision for one table, in its episode.
+
+    Processor time, so that other work on the machine is not counted as the controller's.
+    """
     simulation = Simulation(scenario, 1)
     observation = simulation.start([0], [np.random.default_rng(0)])
     memory, start, times = None, np.ones(1, dtype=bool), []
     for _ in range(min(decisions, int(simulation.episode_steps[0]))):
-        began = time.perf_counter()
+        began = time.process_time()
         action, memory = controller.predict(observation[0], memory, start, deterministic=True)
-        times.append(time.perf_counter() - began)
+        times.append(time.process_time() - began)
         start = np.zeros(1, dtype=bool)
         observation = simulation.step(np.asarray(action, dtype=float)).observation
     return float(np.median(times))
@@ -249,6 +255,11 @@ def compare(
     traced = _strongest(recorded) if recorded and not motions else 0
     controllers, skipped = named_controllers(names, scenario, earthquakes)
     reference = next(iter(controllers))
+    damage = {
+        name: each.damage
+        for name, each in controllers.items()
+        if isinstance(each, DriveFile) and each.damage is not None
+    }
     driven = dict.fromkeys(controllers, scenario)
     if CLAIRVOYANT in names:
         driven[CLAIRVOYANT], controllers[CLAIRVOYANT] = clairvoyant(scenario, earthquakes)
@@ -284,6 +295,8 @@ def compare(
             [episodes[reference][i] for i in members],
             [fidelities[name][i] for i in members],
             latency[name],
+            BASELINES[name].tests if name in BASELINES else 1,
+            damage[name][list(members)] if name in damage else None,
         )
         for group, members in groups.items()
         if len(members)
@@ -307,8 +320,14 @@ def summarise(
     reference: Sequence[EpisodeMetrics],
     repeated: Sequence[Fidelity],
     latency: float,
+    tests: int = 1,
+    damage: NDArray[np.float64] | None = None,
 ) -> GroupSummary:
-    """Return one controller's figures over a group, its cost relative to `reference`'s, paired."""
+    """Return one controller's figures over a group, its cost relative to `reference`'s, paired.
+
+    `tests` of each earthquake, the one that counts included, and the `damage` (earthquakes,) of those
+    before it, are what a controller took that repeats its tests.
+    """
     cost = np.asarray([row.cost for row in rows])
     base = np.asarray([row.cost for row in reference])
     low, high = _interval(cost, base)
@@ -327,6 +346,8 @@ def summarise(
         mean_cost=float(cost.mean()),
         broken_limits=sum(row.broken_limit is not None for row in rows),
         decision_time=latency,
+        tests=tests,
+        damage=float("nan") if damage is None else float(np.median(damage)),
         **measures,
         **means,
         **peaks,

@@ -45,12 +45,24 @@ def print_tables(comparison: Comparison, console: Console) -> None:
         "earthquakes; 95 % bootstrap interval over earthquakes. Errors: relative to the target's own "
         "rms and peak, mean over earthquakes. Lag of the table's acceleration; share of "
         "response-spectrum ordinates more than 10 % off; Arias intensity over the target's. Current, "
-        "velocity and stroke: the largest. us: median time of one decision. Ended: by a broken limit."
+        "velocity and stroke: the largest. us: processor time of one decision, median. Ended: by a "
+        "broken limit."
     )
+    for row in comparison.summaries:
+        if np.isfinite(row.damage):
+            console.print(f"{_label(row.controller)} on {row.group}: {damage_note(row)}.")
     for name, share in comparison.interventions.items():
         console.print(f"The supervisor changed {100 * share:.2f} % of the commands of {_label(name)}.")
     for left_out in comparison.skipped:
         console.print(f"Left out: {left_out}.", style="yellow")
+
+
+def damage_note(row: GroupSummary) -> str:
+    """Return what a controller that repeats its tests took from the specimen, in words."""
+    return (
+        f"{row.tests} tests of each earthquake, the one that counts included; before that one the "
+        f"specimen had dissipated {row.damage:.1f} times the energy of a perfect test (median)"
+    )
 
 
 def _cells(row: GroupSummary, reference: str) -> list[str]:

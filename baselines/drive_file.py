@@ -89,6 +89,9 @@ class DriveFile:
         (steps,) fraction of the current limit, for any number of tables; or (N, steps), one a lane.
     feedback
         A controller whose action is added; None: none.
+    damage
+        (N,) energy that the tests in which the drive was found took from the specimens, over that of
+        one perfect test; None: it was found without tests.
 
     Raises
     ------
@@ -97,10 +100,15 @@ class DriveFile:
         number of lanes.
     """
 
-    def __init__(self, drive: FloatArray, feedback: Controller | None = None) -> None:
+    def __init__(
+        self,
+        drive: FloatArray,
+        feedback: Controller | None = None,
+        damage: FloatArray | None = None,
+    ) -> None:
         if drive.ndim not in (1, 2) or not np.isfinite(drive).all():
             raise ParameterError("drive shape", drive.shape, "must be (steps,) or (N, steps), finite")
-        self.drive, self.feedback = drive, feedback
+        self.drive, self.feedback, self.damage = drive, feedback, damage
         self._padded = np.concatenate([drive, np.zeros((*drive.shape[:-1], 1))], axis=-1)
 
     def predict(
@@ -160,7 +168,12 @@ class Tests:
 
     repeats: tuple[Repeat, ...]
     drive: FloatArray  # (N, steps) of each lane's test of least cost, fraction of the current limit
-    controller: DriveFile  # that plays it, with the feedback underneath
+    feedback: Controller | None  # underneath it
+
+    @property
+    def controller(self) -> DriveFile:
+        """What plays each table's best drive."""
+        return DriveFile(self.drive, self.feedback, self.damage)
 
     @property
     def damage(self) -> FloatArray:
@@ -210,7 +223,7 @@ def repeat_tests(
         best, step = np.where(better, drive, best), np.where(better, new_step, step)
         least, share = np.minimum(test.cost, least), np.where(worse, 0.5 * share, share)
         last, last_step = np.where(worse, best, drive), np.where(worse, step, new_step)
-    return Tests(tuple(repeats), best, DriveFile(best, feedback))
+    return Tests(tuple(repeats), best, feedback)
 
 
 def run_test(

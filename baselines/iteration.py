@@ -85,6 +85,11 @@ class Iteration:
     response: ComplexArray  # (N or 1, lines) current to acceleration that was used [m/s^2 per A]
 
     @property
+    def controller(self) -> DriveFile:
+        """What plays each table's best drive."""
+        return DriveFile(self.tests.drive, self.tests.feedback, self.damage)
+
+    @property
     def damage(self) -> FloatArray:
         """Energy that all tests took from the specimens over that of one perfect test, (N,).
 

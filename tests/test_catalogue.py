@@ -1,17 +1,22 @@
 """Every controller by its name: it suits a scenario or says why not; the bench's tables."""
 
+import math
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from agents.__main__ import main
 from agents.bench import markdown, put_tables
+from agents.compare import compare
+from agents.compare_output import print_tables
 from baselines.catalogue import BASELINES
+from baselines.lqr import sampled_lqr, stationary_performance
 from baselines.registry import make_baseline, reference_name, tuned_parameters
 from shake_env import SCENARIO_NAMES, make_scenario
-from shake_env.errors import ParameterError, ScenarioError
+from shake_env.errors import NumericalError, ParameterError, ScenarioError
 from shake_env.rollout import noise_earthquakes, rollout
 
 ROOT = Path(__file__).parents[1]
@@ -23,6 +28,8 @@ SHORT = {
 REFUSED = {
     ("laboratory", "lqr"): "full state",
     ("unknown-specimen", "lqr"): "full state",
+    ("laboratory", "lqr-published"): "full state",
+    ("unknown-specimen", "lqr-published"): "full state",
     ("laboratory", "preview-lqr"): "full state",
     ("unknown-specimen", "preview-lqr"): "full state",
     ("linear", "feedforward"): "nothing to feed forward",
@@ -110,12 +117,13 @@ def test_a_page_without_markers_is_refused(tmp_path):
         "acceleration_rms_error": 0.1, "acceleration_peak_error": 0.1, "base_shear_rms_error": 0.1,
         "base_shear_peak_error": 0.1, "delay": None, "spectral_error": 0.1, "arias_ratio": 1.0,
         "drift_ratio": 1.0, "energy_ratio": 1.0, "broken_limits": 0, "decision_time": None,
-        "earthquakes": 2,
+        "earthquakes": 2, "tests": 8, "damage": 6.04,
     }  # fmt: skip
     result = {
         "scenario": "linear", "rows": [row], "seed": 1, "version": "0", "machine": "m", "reference": "x"
     }  # fmt: skip
     assert "| x | 1.000 [1.000, 1.000] |" in markdown(result)
+    assert "`x` takes 8 tests" in markdown(result) and "6.0 times the energy" in markdown(result)
     with pytest.raises(ParameterError, match="markers"):
         put_tables(page, [result])
 
@@ -135,3 +143,34 @@ def test_controllers_come_without_the_extras(monkeypatch):
     monkeypatch.setitem(sys.modules, "osqp", None)
     with pytest.raises(ShakeError, match=r"shake-env\[classical\]"):
         make_baseline("mpc", SHORT["yielding"], {})
+
+
+def test_lqr_as_published_needs_a_rate_of_kilohertz():
+    """Poles near 2500 rad/s: no hold of 1 ms keeps them, and as it shortens the law becomes optimal."""
+    above = {}
+    for rate in (1000.0, 2000.0, 20_000.0):
+        scenario = make_scenario("linear", {"control_rate": rate, "physics_step": 1.0 / rate})
+        row = make_baseline("lqr-published", scenario)._row[: scenario.plant.layout.order]
+        gain = -row * scenario.current_limit / scenario.plant.state_scale
+        if rate == 1000.0:
+            with pytest.raises(NumericalError, match="unstable"):
+                stationary_performance(scenario.discrete, scenario.stage_cost, gain)
+            continue
+        held = stationary_performance(scenario.discrete, scenario.stage_cost, gain).cost
+        above[rate] = held / sampled_lqr(scenario.discrete, scenario.stage_cost).analytic_cost - 1.0
+    assert above[2000.0] > 0.1
+    assert 0.0 < above[20_000.0] < 0.01
+
+
+def test_what_repeats_took_is_told():
+    scenario = make_scenario("yielding", {"duration": 4.0})
+    found = compare(scenario, ("iteration", "learning"), noise=2, records=False)
+    rows = {row.controller: row for row in found.summaries}
+    assert math.isnan(rows["preview-lqr"].damage) and rows["preview-lqr"].tests == 1
+    assert rows["iteration"].tests == 10 and rows["learning"].tests == 8
+    # six repeats near a perfect test each, the first of them less; and the identification before
+    assert 4.0 < rows["learning"].damage < 7.0
+    assert rows["iteration"].damage > 4.0
+    console = Console(record=True, width=120)
+    print_tables(found, console)
+    assert "times the energy of a perfect" in console.export_text()
