@@ -15,7 +15,7 @@ from scipy.stats import bootstrap
 import shake_env
 from agents.fidelity import Fidelity, fidelity
 from agents.frames import Rows, to_frame
-from agents.free_design import FREE, found_by_search
+from agents.free_design import FOUND, FREE, found_by_search
 from agents.policy_file import load_policy
 from agents.shipped import SHIPPED, shipped_policy
 from baselines.catalogue import BASELINES
@@ -122,10 +122,9 @@ def named_controllers(
     ----------
     names
         Names of `baselines.catalogue`, ``all`` for every one of them that suits the scenario and what an
-        independent search has found for it (`agents.free_design`), ``policy``
-        and ``analytic`` (those that ship), ``clairvoyant``, ``free`` (`agents.free_design`) or paths of
-        policy files and run directories. The reference, which costs are relative to, is always among
-        them.
+        independent search has found for it, ``policy`` and ``analytic`` (those that ship),
+        ``clairvoyant``, ``free`` or ``free-force`` (`agents.free_design`), or paths of policy files and
+        run directories. The reference, which costs are relative to, is always among them.
     scenario
         What they drive. What ``all`` or ``policy`` stand for is left out where it does not suit; what is
         named raises.
@@ -153,11 +152,11 @@ def named_controllers(
                 except ShakeError as error:  # it does not suit the scenario, or its design fails there
                     skipped.append(f"{each} ({error})")
             if tuned_parameters(FREE, scenario.name):
-                controllers[FREE] = found_by_search(scenario)
+                controllers |= {each: found_by_search(scenario, each) for each in FOUND}
         elif name == CLAIRVOYANT:
             continue  # runs on a scenario of its own: `compare` sees to it
-        elif name == FREE:
-            controllers[FREE] = found_by_search(scenario)
+        elif name in FOUND:
+            controllers[name] = found_by_search(scenario, name)
         elif name in SHIPPED:
             policy = load_policy(shipped_policy(name, scenario.name))
             try:
@@ -174,7 +173,7 @@ def named_controllers(
                 controllers[name] = make_baseline(name, scenario, None, earthquakes)
         elif not (Path(name).exists() or "/" in name or "." in name):
             raise unknown(
-                ScenarioError, "controller", name, [*BASELINES, ALL, CLAIRVOYANT, FREE, *SHIPPED]
+                ScenarioError, "controller", name, [*BASELINES, ALL, CLAIRVOYANT, *FOUND, *SHIPPED]
             )
         else:
             path = Path(name)

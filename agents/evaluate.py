@@ -15,7 +15,7 @@ from agents.bench import TEST_SEED
 from agents.code_version import code_version
 from agents.compare import CLAIRVOYANT, decision_time, plain_row
 from agents.fidelity import fidelity
-from agents.free_design import FREE, found_by_search
+from agents.free_design import FOUND, found_by_search
 from agents.policy_file import PolicyFile, load_policy
 from agents.scores import Episodes, summary
 from agents.shipped import SHIPPED, shipped_policy
@@ -68,13 +68,13 @@ def contestant(text: str, scenario: Scenario) -> Contestant:
     PolicyFileError
         If a policy cannot be read or does not fit the scenario, or a folder holds none.
     """
-    if text in BASELINES or text in (CLAIRVOYANT, FREE):
+    if text in BASELINES or text in (CLAIRVOYANT, *FOUND):
         return Contestant(text)
     if text in SHIPPED:
         return _learned(text, [shipped_policy(text, scenario.name)], scenario)
     name, separator, paths = text.rpartition("=")
     if not separator and not (Path(text).exists() or "/" in text or "." in text):
-        raise unknown(ScenarioError, "entry", text, [*BASELINES, CLAIRVOYANT, FREE, *SHIPPED])
+        raise unknown(ScenarioError, "entry", text, [*BASELINES, CLAIRVOYANT, *FOUND, *SHIPPED])
     files = [file for path in paths.split(",") for file in policy_files(Path(path))]
     return _learned(name or Path(paths.split(",")[0]).stem, files, scenario)
 
@@ -271,8 +271,8 @@ def _controller(
         return scenario, each.policies[run]
     if each.name == CLAIRVOYANT:
         return clairvoyant(scenario, quakes)
-    if each.name == FREE:
-        return scenario, found_by_search(scenario)
+    if each.name in FOUND:
+        return scenario, found_by_search(scenario, each.name)
     return scenario, make_baseline(each.name, scenario, None, quakes)
 
 
@@ -280,8 +280,8 @@ def _latency(each: Contestant, scenario: Scenario) -> float | None:
     """Return the median time [s] of one decision; None for what is made for its own earthquakes."""
     if each.policies:
         return decision_time(each.policies[0], scenario)
-    if each.name == FREE:
-        return decision_time(found_by_search(scenario), scenario)
+    if each.name in FOUND:
+        return decision_time(found_by_search(scenario, each.name), scenario)
     if each.name == CLAIRVOYANT or BASELINES[each.name].repeats_tests:
         return None
     return decision_time(make_baseline(each.name, scenario), scenario)

@@ -21,7 +21,10 @@ from shake_env.controller import Controller
 from shake_env.parameters import Specimen
 from shake_env.scenario import Scenario
 
-FREE = "free"  # its name, where controllers have one
+FREE, FREE_FORCE = "free", "free-force"  # their names, where controllers have one
+# What was found, and the same with the force weighed so many times more than the objective does: near
+# its minimum the cost is flat in the force, and a specimen feels nothing else.
+FOUND = {FREE: 1.0, FREE_FORCE: 20.0}
 
 LAW = {
     "acceleration": Tunable(0.1, 10.0, 1.0),  # weight of the acceleration error, times the objective's
@@ -102,7 +105,12 @@ def free_design(scenario: Scenario, **values: float) -> Controller:
     return estimated(believed, make, error, accommodate=values["accommodation"])
 
 
-def found_by_search(scenario: Scenario) -> Controller:
-    """Return the free design that `shake tune free` found for the scenario's name, defaults else."""
-    defaults = as_free(scenario, {}, accommodates=True)
-    return free_design(scenario, **(defaults | tuned_parameters(FREE, scenario.name)))
+def found_by_search(scenario: Scenario, name: str = FREE) -> Controller:
+    """Return the free design that `shake tune free` found for the scenario's name, defaults else.
+
+    `name` is of `FOUND`: whether the force is weighed as the objective does, or more.
+    """
+    values = as_free(scenario, {}, accommodates=True) | tuned_parameters(FREE, scenario.name)
+    objective = scenario.objective
+    objective = replace(objective, force_weight=FOUND[name] * objective.force_weight)
+    return free_design(replace(scenario, objective=objective), **values)
