@@ -152,6 +152,9 @@ class TrainConfig:
     discount = exp(-control period / horizon)."""
     episode: float = 10.0
     """Length of a training earthquake [s]."""
+    artificial: int = 0
+    """Artificial earthquakes of other spectra, scaled to all of the table's stroke, that every other
+    training episode is drawn from (see `artificial`)."""
     state_limit: float = 12.0
     """A training episode ends when a scaled state leaves this bound [multiples of its rms]."""
     hidden: tuple[int, ...] = (64, 64)
@@ -185,7 +188,7 @@ class TrainConfig:
         every = (self.ppo, self.sac, self.td3, self.tqc, self.recurrent_ppo, self.analytic)
         for options in every:
             require_positive(options, *(name for name in vars(options) if name not in not_positive))
-        require_non_negative(self, "seed")
+        require_non_negative(self, "seed", "artificial")
         require_non_negative(self.analytic, "memory")
         require_non_negative(self.tqc, "dropped")
         if self.tqc.dropped >= self.tqc.quantiles:

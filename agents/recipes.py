@@ -103,14 +103,23 @@ def _recipe(
 
 # The whole of a laboratory's envelope: rise, strong part and decay.
 _WHOLE = {"episode": 15.0}
+_WHOLE_NOISE = "the length of the test's earthquakes: a table that minds no place walks further in them"
+_LONG = "as many steps as a quarter of an hour has"
 _BIASES = "biases, for friction and limits do not scale with the motion"
 
 RECIPES: tuple[Recipe, ...] = (
-    _recipe("linear", TrainConfig(algorithm="analytic"), 2.0),
-    _recipe("linear", TrainConfig(algorithm="ppo"), 4.0),
-    _recipe("linear", TrainConfig(algorithm="sac"), 8.0),
+    _recipe(
+        "linear",
+        TrainConfig(algorithm="analytic", total_steps=18_432_000, episode=20.0),
+        2.5,
+        _WHOLE_NOISE,
+    ),
+    _recipe(
+        "linear", TrainConfig(algorithm="ppo", total_steps=10_000_000, episode=20.0), 9.0, _WHOLE_NOISE
+    ),
+    _recipe("linear", TrainConfig(algorithm="sac", total_steps=700_000), 12.0, _LONG),
     _recipe("linear", TrainConfig(algorithm="td3"), 4.0),
-    _recipe("linear", TrainConfig(algorithm="tqc"), 8.0),
+    _recipe("linear", TrainConfig(algorithm="tqc", total_steps=500_000), 12.0, _LONG),
     _recipe("linear", TrainConfig(algorithm="recurrent-ppo"), 6.0),
     _recipe(
         "friction",

@@ -17,6 +17,7 @@ from stable_baselines3.common.logger import Figure, configure
 from threadpoolctl import threadpool_limits
 
 import shake_env
+from agents.artificial import artificial_motions
 from agents.base_law import base_law
 from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.code_version import code_version
@@ -32,11 +33,12 @@ from baselines.clairvoyant import clairvoyant
 from baselines.lqr import lqr
 from shake_env.errors import RunDirectoryError
 from shake_env.limits import Limits
-from shake_env.motion import FilteredNoise
+from shake_env.motion import FilteredNoise, MotionSet
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario import Scenario
 
 BEST = "best.safetensors"  # in a run directory: the policy that did best so far
+RUN_SEEDS = 100_000  # that a run may use, from its own seed times that
 EVALUATION_SEED = 1_000_000  # training seeds lie far below, so that no evaluation motion is trained on
 
 
@@ -88,7 +90,7 @@ def train(
     model = new_model(config, scenario, env)
     # After the model: SB3 seeds the environment with the run's own seed, so that the tables of run 1
     # would repeat those of run 0 but for one.
-    env.seed(config.seed * 100_000)
+    env.seed(config.seed * RUN_SEEDS)
     return _run(model, config, env, run, report, command)
 
 
@@ -119,6 +121,9 @@ def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
     motion = scenario.motion
     if isinstance(motion, FilteredNoise):
         motion = replace(motion, duration=config.episode)
+        if config.artificial:
+            others = artificial_motions(scenario, config.artificial, config.seed * RUN_SEEDS)
+            motion = MotionSet((*[motion] * config.artificial, *others))
     return replace(scenario, limits=limits, motion=motion)
 
 
@@ -158,10 +163,14 @@ class _Watch(BaseCallback):
         super().__init__()
         self.config, self.tables, self.run, self.report = config, env, run, report
         scenario = config.scenario.build()
-        self.scenario = replace(scenario, motion=training_scenario(config, scenario).motion)
+        of_training = training_scenario(replace(config, artificial=0), scenario)
+        self.scenario = replace(scenario, motion=of_training.motion)
         self.earthquakes = noise_earthquakes(
             self.scenario, config.evaluation_earthquakes, EVALUATION_SEED
         )
+        if config.artificial:
+            others = artificial_motions(scenario, config.artificial, EVALUATION_SEED)
+            self.earthquakes += [Earthquake(m.source.name, m) for m in others]
         self.earthquakes, self.lqr_cost = _reference(self.scenario, self.earthquakes)
         self.started = time.monotonic()
         self.saved = self.told = -np.inf

@@ -92,7 +92,7 @@ class RecordedMotion:
 
 @dataclass(frozen=True)
 class MotionSet:
-    """Several recorded motions, of which each episode draws one.
+    """Several motions, of which each episode draws one.
 
     Raises
     ------
@@ -100,21 +100,24 @@ class MotionSet:
         If there is no motion, or the amplitude is negative.
     """
 
-    motions: tuple[RecordedMotion, ...]
+    motions: tuple[RecordedMotion | FilteredNoise, ...]
     amplitude: float = 1.0  # [-] factor on every motion's own
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "motions", tuple(self.motions))
-        if not self.motions or not all(isinstance(m, RecordedMotion) for m in self.motions):
-            raise ParameterError("motions", self.motions, "give at least one RecordedMotion")
+        kinds = (RecordedMotion, FilteredNoise)
+        if not self.motions or not all(isinstance(m, kinds) for m in self.motions):
+            raise ParameterError(
+                "motions", self.motions, "give at least one RecordedMotion or FilteredNoise"
+            )
         require_non_negative(self, "amplitude")
 
     @property
-    def scaled(self) -> tuple[RecordedMotion, ...]:
+    def scaled(self) -> tuple[EpisodeMotion, ...]:
         """The motions with the factor applied."""
         return tuple(replace(m, amplitude=self.amplitude * m.amplitude) for m in self.motions)
 
-    def pick(self, stream: np.random.Generator) -> RecordedMotion:
+    def pick(self, stream: np.random.Generator) -> EpisodeMotion:
         """Return the motion of an episode, drawn from its stream."""
         return self.scaled[int(stream.integers(len(self.motions)))]
 

@@ -61,7 +61,7 @@ def recorded_earthquakes(scenario: Scenario) -> list[Earthquake]:
     """
     motion = scenario.motion
     if isinstance(motion, MotionSet):
-        return [Earthquake(m.source.name, m) for m in motion.scaled]
+        return [Earthquake(m.source.name, m) for m in motion.scaled if isinstance(m, RecordedMotion)]
     limited = scenario.limits.table_displacement is not None
     if not isinstance(motion, RecordedMotion):
         motion = RecordedMotion(record=RECORD_NAMES[0], amplitude=record_amplitude(scenario))

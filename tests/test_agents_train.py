@@ -50,6 +50,7 @@ def small(algorithm, memory=0, **changes):
         ("recurrent-ppo", {"scenario": ScenarioOptions("unknown-specimen")}),
         ("analytic", {}),
         ("analytic", {"memory": 8, "scenario": ScenarioOptions("unknown-specimen")}),
+        ("analytic", {"artificial": 3, "scenario": ScenarioOptions("laboratory")}),
     ],
     ids=str,
 )
