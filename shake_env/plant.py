@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -361,3 +362,8 @@ class CoupledPlant:
         scale = undamped.state_scale[keep]
         eigenvalues = np.linalg.eigvals(A * scale / scale[:, None])
         return np.sort(eigenvalues.imag)[-(1 + self.specimen.stories) :] / (2.0 * np.pi)
+
+    def to_control(self, *, scaled: bool = True) -> Any:
+        """Return the plant as a ``control.StateSpace``; see `baselines.python_control.to_control`."""
+        # By its name: the physics depends neither on python-control nor on the package above it.
+        return import_module("baselines.python_control").to_control(self, scaled=scaled)
