@@ -120,7 +120,7 @@ _OFF_POLICY: tuple[tuple[Literal["sac", "td3", "tqc"], float], ...] = (
 )  # fmt: skip
 
 
-def _correction(memory: int = 0, authority: float = 0.3) -> AnalyticOptions:
+def _correction(memory: int = 0, authority: float = 0.2) -> AnalyticOptions:
     """Return the analytic gradient's options for a correction of `free` on a table with a stroke.
 
     Windows of 1.3 s outlast the drift that a correction causes; a larger step, or windows of half a
