@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from agents.figure_style import BLACK, BLUE, GREY, ORANGE, VERMILLION, figure_style, new_figure
 from agents.recipe_space import Choice, Knob
 from agents.recipe_trace import Trace, TrialRow, file_name
 
 ACROSS = 4  # panels in a row
+WIDEST = 20  # characters of an axis' label that a panel has room for
 ROOM = 3.0  # a cost of more than so many times the median is drawn at the top: it says "lost", not how
 
 # Lightness and shape tell them apart as well as colour does.
@@ -74,20 +76,26 @@ def _panel(axes: Axes, trace: Trace, knob: Knob, top: float) -> None:
     points([row for row in trace.trials if row.cost is None], "pruned or failed", CUT)
     points([row for row in judged if row.recipe], "the recipe", OWN, 3)
     points(judged[:1], "best", BEST, 4)
-    axes.set_xlabel(knob.meaning.replace(" [", "\n["))
+    axes.set_xlabel(fill(knob.meaning, WIDEST))
     if isinstance(knob, Choice):
         names = [str(value) for value in knob.values]
         axes.set_xticks(range(len(names)), names)
         axes.set_xlim(-0.5, len(names) - 0.5)
         if max(map(len, names)) > 4:
-            axes.tick_params(axis="x", labelrotation=40.0)
+            axes.set_xticks(range(len(names)), names, rotation=40.0, ha="right", rotation_mode="anchor")
         return
     if knob.logarithmic:
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=_subdivisions(knob.high / knob.low)))
-        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axes.xaxis.set_major_formatter(FuncFormatter(_label))
         axes.xaxis.set_minor_formatter(NullFormatter())
-        axes.set_xlim(knob.low / 1.08, knob.high * 1.08)
+        room = (knob.high / knob.low) ** 0.05
+        axes.set_xlim(knob.low / room, knob.high * room)
+
+
+def _label(value: float, place: float | None) -> str:
+    """Return a number as short as it can be told: 3e-4 and not 0.0003."""
+    return f"{value:g}" if value >= 0.01 else f"{value:.0e}".replace("e-0", "e-")
 
 
 def _subdivisions(ratio: float) -> tuple[float, ...]:

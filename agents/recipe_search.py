@@ -165,25 +165,26 @@ class Judge:
 
     def __call__(self, told: Progress) -> None:
         """Report what is new; raise if the run is to end before its steps are done."""
-        new = self.report()
-        if told.steps >= told.total_steps:
-            return
-        if new and self.trial.should_prune():
-            raise _PrunedError
-        if time.monotonic() > self.until:
+        self.report()
+        if told.steps < told.total_steps and time.monotonic() > self.until:
             raise _OutOfTimeError
 
-    def report(self) -> bool:
-        """Report the evaluations that are not reported yet; return whether there were any."""
-        new, self.best = False, math.inf
+    def report(self) -> None:
+        """Report the evaluations that are not reported yet.
+
+        Each is judged in its turn, those that a fast run made since the last report too, so that whether
+        a trial is ended does not go by the clock.
+        """
+        self.best = math.inf
         for steps, ratio in sorted(dict(learning_curve(str(self.run))).items()):
             self.best = min(self.best, ratio if math.isfinite(ratio) else FAILED)
             place = steps * self.config.evaluations // self.config.steps
-            if place not in self._told:
-                self.trial.report(self.best, place)
-                self._told.add(place)
-                new = True
-        return new
+            if place in self._told:
+                continue
+            self.trial.report(self.best, place)
+            self._told.add(place)
+            if steps < self.config.steps and self.trial.should_prune():
+                raise _PrunedError
 
 
 def open_study(search: Search, storage: Path) -> Any:

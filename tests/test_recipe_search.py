@@ -38,6 +38,7 @@ SMALL = TrainConfig(
     hidden=(8,),
     episode=0.2,
     total_steps=1_024,
+    evaluations=8,
     evaluation_earthquakes=1,
     checkpoint_interval=1e-9,
 )
@@ -182,41 +183,50 @@ def test_time_ends_a_search_and_the_trial_stays(tmp_path):
     judge(Progress(512, 512, 1.0, None))  # a run that is through is not thrown away
 
 
-def test_a_trial_behind_the_others_is_ended(tmp_path):
-    """Five trials before it that reached a thousandth of the cost, in Optuna's own storage."""
-    # Half a second passes between two reports: a roll-out of this one takes about that.
-    ppo = PPOOptions(tables=32, rollout_steps=128, batch_size=32, epochs=5)
-    slow = replace(SMALL, ppo=ppo, total_steps=8 * 4_096, evaluations=6)
-    search = Search(recipe=replace(TINY, config=slow), share=1.0, earthquakes=2)
+@pytest.fixture
+def led(tmp_path):
+    """A study, in Optuna's own storage, of five trials that reached a thousandth of the cost."""
+    search = replace(SEARCH, share=1.0)
     study = open_study(search, tmp_path / "r.db")
-    knobs, own = space(search.recipe), own_values(search.recipe)
+    knobs, own = space(TINY), own_values(TINY)
     for _ in range(6):
         study.enqueue_trial({knob.name: own[knob.name] for knob in knobs})
     for _ in range(5):
         before = study.ask()
         for knob in knobs:
             knob.suggest(before)
-        for place in range(7):
+        for place in range(21):
             before.report(1e-3, place)
         study.tell(before, 1e-3)
+    return search, study
+
+
+def test_a_trial_behind_the_others_is_ended(led, tmp_path):
+    search, study = led
     search_recipe(search, tmp_path / "r.db", tmp_path, trials=6)
     last = study.get_trials()[-1]
     assert last.state.name == "PRUNED" and "cost" not in last.user_attrs
     assert last.user_attrs["ratio"] == min(last.intermediate_values.values()) > 1e-3
     assert not (tmp_path / search.name / str(last.number) / "result.json").exists()
-    # The rule by itself, at the report that decides.
-    run = tmp_path / "run"
-    run.mkdir()
-    rows = [{"steps": s, "cost_ratio": c} for s, c in ((0, 1e-4), (16_384, math.nan))]
-    (run / "evaluations.jsonl").write_text("\n".join(map(json.dumps, rows)))
-    judge = Judge(study.ask(), trial_config(search.recipe, {}, 1.0), run)
-    judge(Progress(20_000, 32_768, 1.0, None))  # its best, which a run keeps, is ahead
+    assert trace_of(search, study).trials[-1].state == "pruned"
+
+
+def test_what_is_judged_is_the_policy_that_a_run_keeps(led, tmp_path):
+    _, study = led
+    config, now = trial_config(TINY, {}, 1.0), Progress(900, 1_024, 1.0, None)
+
+    def evaluated(*rows):
+        lines = [json.dumps({"steps": s, "cost_ratio": c}) for s, c in rows]
+        (tmp_path / "evaluations.jsonl").write_text("\n".join(lines))
+        return Judge(study.ask(), config, tmp_path)
+
+    judge = evaluated((0, 1e-4), (512, math.nan), (640, 9.0))
+    judge(now)  # its first is ahead of every other trial
     assert judge.best == 1e-4
-    (run / "evaluations.jsonl").write_text(json.dumps({"steps": 16_384, "cost_ratio": 2e-3}))
-    with pytest.raises(_PrunedError):
-        Judge(study.ask(), trial_config(search.recipe, {}, 1.0), run)(
-            Progress(20_000, 32_768, 1.0, None)
-        )
+    with pytest.raises(_PrunedError):  # it caught up, but was behind before
+        evaluated((0, 2e-3), (512, 2e-3), (768, 1e-4))(now)
+    evaluated((0, 2e-3), (128, 2e-3), (512, 1e-4))(now)  # a beginning is let be
+    evaluated((0, 2e-3), (1_024, 2e-3))(now)  # so is an end
 
 
 def test_a_storage_with_another_recipe_and_a_foreign_run_are_left_alone(tmp_path):
