@@ -28,7 +28,7 @@ from agents import recipes
 from agents.checkpoint import checkpoints
 from agents.code_version import code_version
 from agents.compare import cost_ratio
-from agents.config import TrainConfig, read_config
+from agents.config import TrainConfig, config_of, read_config
 from agents.policy_file import load_policy
 from agents.progress import Progress
 from agents.recipe_space import TRAIN_SEED, own_values, space, space_json, trial_config
@@ -91,6 +91,11 @@ class Search:
         """Return everything that decides a trial, so that no search mixes two kinds of them."""
         config = trial_config(self.recipe, {}, self.share).to_json()
         return json.dumps([config, space_json(space(self.recipe))])
+
+    def same(self, identity: str) -> bool:
+        """Return whether that is this search's; options that it does not know have their defaults."""
+        (one, space_one), (two, space_two) = json.loads(identity), json.loads(self.identity())
+        return space_one == space_two and config_of(one) == config_of(two)
 
 
 @dataclass(frozen=True)
@@ -211,7 +216,7 @@ def open_study(search: Search, storage: Path) -> Any:
         n_startup_trials=UNJUDGED, n_warmup_steps=max(1, evaluations // 3)
     )
     identity = search.identity()
-    if study.user_attrs.get("identity", identity) != identity:
+    if not search.same(study.user_attrs.get("identity", identity)):
         remedy = f"holds {search.name} of another recipe or space: give another --storage or --seed"
         raise ParameterError("storage", str(storage), remedy)
     study.set_user_attr("identity", identity)

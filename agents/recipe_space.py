@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from typing import Any, get_args
 
 from agents.base_law import BaseLaw, base_law
 from agents.config import TrainConfig
-from agents.estimated_law import EstimatedLaw
 from agents.evaluate import optimal_cost
 from agents.recipes import MOST_SEEDS, Recipe
 from shake_env.errors import ParameterError, ShakeError
@@ -84,7 +84,7 @@ Knob = Range | Choice
 
 _RATE = Range(name="learning_rate", meaning="learning rate [-]", low=1e-4, high=3e-3)
 _AUTHORITY = Range(
-    name="authority", meaning="authority [share of the current limit]", low=0.05, high=1.0
+    name="authority", meaning="authority [share of the current limit]", low=0.02, high=1.0
 )
 _SHORT = Range(name="horizon", meaning="horizon [s]", low=0.05, high=2.0)
 _EXPLORATION = Range(
@@ -117,9 +117,9 @@ _SPACES: dict[str, tuple[Knob, ...]] = {
     "analytic": (
         _RATE,
         replace(_SHORT, low=0.5, high=20.0),
-        Range(name="window", meaning="window [periods]", low=32, high=192, whole=True),
+        Range(name="window", meaning="window [periods]", low=32, high=384, whole=True),
         Range(name="max_grad_norm", meaning="bound on the gradient [-]", low=2.0, high=200.0),
-        Choice(name="tables", meaning="tables side by side [-]", values=(64, 128, 256)),
+        Choice(name="tables", meaning="tables side by side [-]", values=(32, 64, 128, 256)),
         _AUTHORITY,
         Choice(name="memory", meaning="width of the memory [-]", values=(32, 64, 96)),
     ),
@@ -185,12 +185,12 @@ def _dividing(knobs: Sequence[Knob], tables: int, parts: int) -> list[Knob]:
     return kept
 
 
+@lru_cache(maxsize=32)  # a law behind an estimator takes a second to design
 def suitable_laws(recipe: Recipe) -> tuple[BaseLaw, ...]:
     """Return the laws that a recipe's policy could correct, its own among them.
 
     Only its own where it begins from nothing, which is a claim about the algorithm. Where there is an
-    analytic optimum the laws that reach it are left out: nothing would be learned. A recurrent policy
-    of sb3-contrib corrects laws on the full state only.
+    analytic optimum the laws that reach it are left out: nothing would be learned.
     """
     chosen, scenario = recipe.config.chosen, recipe.config.scenario.build()
     if chosen.base == "none":
@@ -201,11 +201,10 @@ def suitable_laws(recipe: Recipe) -> tuple[BaseLaw, ...]:
         if law == "none" or (optimal and law != "flow" and law != chosen.base):
             continue
         try:
-            made = base_law(law, scenario)
+            base_law(law, scenario)
         except ShakeError:
             continue  # it needs what the scenario does not show
-        if not (isinstance(made, EstimatedLaw) and recipe.config.algorithm == "recurrent-ppo"):
-            found.append(law)
+        found.append(law)
     return tuple(found)
 
 

@@ -235,6 +235,12 @@ def test_a_storage_with_another_recipe_and_a_foreign_run_are_left_alone(tmp_path
     other = replace(SEARCH, recipe=replace(TINY, config=replace(SMALL, hidden=(16,))))
     with pytest.raises(ParameterError, match="another --storage"):
         open_study(other, storage)
+    config, knobs = json.loads(SEARCH.identity())
+    del config["episode"]
+    assert not SEARCH.same(json.dumps([config, knobs]))
+    del config["threads"]  # as of a version before there was that option: its default is this search's
+    config["episode"] = 0.2
+    assert SEARCH.same(json.dumps([config, knobs]))
     run = tmp_path / SEARCH.name / "0"
     run.mkdir(parents=True)
     (run / "config.json").write_text(json.dumps(SMALL.to_json()))
