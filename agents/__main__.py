@@ -27,6 +27,7 @@ from agents.motion_command import Motion, MotionOptions, motion_earthquakes
 from agents.options import ScenarioOptions
 from agents.policy_command import Card, Export
 from agents.progress import progress_bar
+from agents.recipe_search_command import SearchRecipe
 from agents.scenario_command import ShowScenario
 from agents.tune_command import Tune
 from agents.validate_command import Validate
@@ -222,6 +223,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "evaluate": Evaluate,
     "export": Export,
     "motion": Motion,
+    "recipe-search": SearchRecipe,
     "reproduce": Reproduce,
     "results": Results,
     "scenario": ShowScenario,
