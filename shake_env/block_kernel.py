@@ -254,9 +254,9 @@ def nonlinear(
 def add_product(matrix: FloatArray, x: FloatArray, y: FloatArray, w: int) -> None:
     """Add matrix (columns, rows, 1 or lanes) times x (columns, w) to y (rows, w).
 
-    Four columns a pass, so that a sum is loaded and stored a quarter as often, and of a common matrix two
-    rows, so that x is loaded half as often. A lone table's rows take the place of the lanes. Sums run in
-    the same order throughout.
+    Four columns a pass, so that a sum is loaded and stored a quarter as often, and of a common matrix
+    two rows, so that x is loaded half as often. A lone table's rows take the place of the lanes. Sums
+    run in the same order throughout.
     """
     columns, rows = matrix.shape[0], matrix.shape[1]
     if y.shape[1] == 1:

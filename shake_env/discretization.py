@@ -272,8 +272,8 @@ class DiscretePlant:
         third would add is, at 1 ms and a storey frequency of 7 Hz, 1e-9 of a mean square of reference or
         high-pass, 2e-9 of J* at 200 Hz and 4e-8 of its mean-square force error; it goes with dt^4, to
         1e-6 of J* at 5 ms. One direction loses 1e-4, 1e-4 and 3e-3. To tell a mean square from one that
-        is less by a share e takes 2 / e^2 independent samples: 2e18 of them, against 2e8. No frequency of
-        target and reference shear between 0.2 and 25 Hz loses more than 1e-6 of its power; the shear
+        is less by a share e takes 2 / e^2 independent samples: 2e18 of them, against 2e8. No frequency
+        of target and reference shear between 0.2 and 25 Hz loses more than 1e-6 of its power; the shear
         loses 3e-3 at 500 Hz, where it has 4e-13 of its peak.
         """
         coupled, scale = self.plant.coupled, self.plant.state_scale
