@@ -254,8 +254,9 @@ def nonlinear(
 def add_product(matrix: FloatArray, x: FloatArray, y: FloatArray, w: int) -> None:
     """Add matrix (columns, rows, 1 or lanes) times x (columns, w) to y (rows, w).
 
-    Four columns a pass, so that a sum is loaded and stored a quarter as often. A lone table's rows take
-    the place of the lanes; its sums run in the same order.
+    Four columns a pass, so that a sum is loaded and stored a quarter as often, and of a common matrix
+    two rows, so that x is loaded half as often. A lone table's rows take the place of the lanes. Sums
+    run in the same order throughout.
     """
     columns, rows = matrix.shape[0], matrix.shape[1]
     if y.shape[1] == 1:
@@ -266,31 +267,57 @@ def add_product(matrix: FloatArray, x: FloatArray, y: FloatArray, w: int) -> Non
                 out[i] = out[i] + row[i] * value
         return
     quads = columns - columns % 4
+    if matrix.shape[2] == 1:
+        for i in range(0, rows - 1, 2):
+            _add_two_rows(matrix, x, y, i, quads, w)
+        for i in range(rows - rows % 2, rows):
+            _add_row(matrix, x, y[i], i, quads, w)
+        return
     for i in range(rows):
         out = y[i]
-        if matrix.shape[2] == 1:
-            for j in range(0, quads, 4):
-                a, b, c = matrix[j, i, 0], matrix[j + 1, i, 0], matrix[j + 2, i, 0]
-                d = matrix[j + 3, i, 0]
-                for n in range(w):
-                    out[n] = out[n] + a * x[j, n] + b * x[j + 1, n] + c * x[j + 2, n] + d * x[j + 3, n]
-            for j in range(quads, columns):
-                a = matrix[j, i, 0]
-                for n in range(w):
-                    out[n] = out[n] + a * x[j, n]
-        else:
-            for j in range(0, quads, 4):
-                for n in range(w):
-                    out[n] = (
-                        out[n]
-                        + matrix[j, i, n] * x[j, n]
-                        + matrix[j + 1, i, n] * x[j + 1, n]
-                        + matrix[j + 2, i, n] * x[j + 2, n]
-                        + matrix[j + 3, i, n] * x[j + 3, n]
-                    )
-            for j in range(quads, columns):
-                for n in range(w):
-                    out[n] = out[n] + matrix[j, i, n] * x[j, n]
+        for j in range(0, quads, 4):
+            for n in range(w):
+                out[n] = (
+                    out[n]
+                    + matrix[j, i, n] * x[j, n]
+                    + matrix[j + 1, i, n] * x[j + 1, n]
+                    + matrix[j + 2, i, n] * x[j + 2, n]
+                    + matrix[j + 3, i, n] * x[j + 3, n]
+                )
+        for j in range(quads, columns):
+            for n in range(w):
+                out[n] = out[n] + matrix[j, i, n] * x[j, n]
+
+
+@jit
+def _add_row(matrix: FloatArray, x: FloatArray, out: FloatArray, i: int, quads: int, w: int) -> None:
+    """Add row i of a common matrix times x."""
+    for j in range(0, quads, 4):
+        a, b, c, d = matrix[j, i, 0], matrix[j + 1, i, 0], matrix[j + 2, i, 0], matrix[j + 3, i, 0]
+        for n in range(w):
+            out[n] = out[n] + a * x[j, n] + b * x[j + 1, n] + c * x[j + 2, n] + d * x[j + 3, n]
+    for j in range(quads, matrix.shape[0]):
+        a = matrix[j, i, 0]
+        for n in range(w):
+            out[n] = out[n] + a * x[j, n]
+
+
+@jit
+def _add_two_rows(matrix: FloatArray, x: FloatArray, y: FloatArray, i: int, quads: int, w: int) -> None:
+    """Add rows i and i + 1 of a common matrix times x."""
+    out, below, k = y[i], y[i + 1], i + 1
+    for j in range(0, quads, 4):
+        a, b, c, d = matrix[j, i, 0], matrix[j + 1, i, 0], matrix[j + 2, i, 0], matrix[j + 3, i, 0]
+        e, f, g, h = matrix[j, k, 0], matrix[j + 1, k, 0], matrix[j + 2, k, 0], matrix[j + 3, k, 0]
+        for n in range(w):
+            p, q, r, s = x[j, n], x[j + 1, n], x[j + 2, n], x[j + 3, n]
+            out[n] = out[n] + a * p + b * q + c * r + d * s
+            below[n] = below[n] + e * p + f * q + g * r + h * s
+    for j in range(quads, matrix.shape[0]):
+        a, e = matrix[j, i, 0], matrix[j, k, 0]
+        for n in range(w):
+            out[n] = out[n] + a * x[j, n]
+            below[n] = below[n] + e * x[j, n]
 
 
 @jit

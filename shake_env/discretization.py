@@ -7,6 +7,7 @@ axes of a model are a batch of plants.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
@@ -18,6 +19,9 @@ from scipy.linalg import expm
 from shake_env.errors import NumericalError, ParameterError
 from shake_env.parameters import FloatArray
 from shake_env.plant import CoupledPlant, StateLayout, StateSpace, check_shapes
+
+# Of the directions of a step's noise three to five lie above rounding; one more is rounding itself.
+MOST_DIRECTIONS = 6
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,14 @@ class DiscreteStateSpace:
     def order(self) -> int:
         """Number of states n."""
         return int(self.A.shape[-1])
+
+
+def check_directions(field: str, directions: int | None) -> None:
+    """Raise ParameterError unless `directions` is None or a whole number of 1 to MOST_DIRECTIONS."""
+    whole = isinstance(directions, int | np.integer) and not isinstance(directions, bool)
+    if directions is not None and not (whole and 1 <= directions <= MOST_DIRECTIONS):
+        remedy = f"must be a whole number of 1 to {MOST_DIRECTIONS}, or None for all above rounding"
+        raise ParameterError(field, directions, remedy)
 
 
 def _check_step(dt: float) -> None:
@@ -116,25 +128,56 @@ def _transposed(matrix: FloatArray) -> FloatArray:
     return np.swapaxes(matrix, -1, -2)
 
 
-def noise_factor(covariance: FloatArray, scale: FloatArray, directions: int | None = None) -> FloatArray:
-    """Return L, (..., n, rank) in SI, with ``L @ L.T`` equal to the covariance to rounding.
+def noise_factor(
+    covariance: FloatArray,
+    scale: FloatArray,
+    directions: int | None = None,
+    first: Sequence[int] = (),
+) -> FloatArray:
+    """Return L, (..., n, directions) in SI, with ``L @ L.T`` close to the covariance, or equal to it.
 
-    The covariance of one short step is nearly singular (state i + 1 receives dt^2 less than state i);
-    directions whose variance is below rounding of the largest carry no information and are dropped. How
-    many those are differs from plant to plant: a batch names the number of `directions`, strongest last,
-    of which dropped ones have no weight.
+    Pivoted Cholesky on scaled states: each direction is what is left of one state's noise, together with
+    what the others' have in common with it. A step's noise ``w`` reaches state i + 1 through the
+    integral of state i, so that what r directions leave out is of order ``dt^(2 r)`` beside the first.
+    Unlike eigenvectors these directions have no arbitrary sign, and vary smoothly with the plant.
+
+    Parameters
+    ----------
+    covariance
+        (..., n, n) in SI.
+    scale
+        (..., n) size of each state.
+    directions
+        How many to keep. None: all above rounding of the largest, so that L reproduces the covariance to
+        rounding. Where there are fewer, the others have no weight.
+    first
+        States whose noise is taken first and so reproduced exactly; then the one with most left.
+
+    Raises
+    ------
+    NumericalError
+        If the covariance is not positive semi-definite.
     """
     row, column = scale[..., None, :], scale[..., None]
-    values, vectors = np.linalg.eigh(covariance / (column * row))
-    largest = values[..., -1:]
-    if np.any(values[..., :1] < -1e-9 * largest):
+    left = covariance / (column * row)
+    values = np.linalg.eigvalsh(left)
+    if np.any(values[..., 0] < -1e-9 * values[..., -1]):
         raise NumericalError("noise covariance", float(values.min()), "is not positive semi-definite")
-    keep = values > np.finfo(float).eps * largest
-    if directions is None:
-        factor: FloatArray = vectors[:, keep] * np.sqrt(values[keep]) * column
-        return factor
-    weights = np.sqrt(np.where(keep, values, 0.0))[..., -directions:]
-    return vectors[..., -directions:] * weights[..., None, :] * column
+    variance = np.diagonal(left, axis1=-2, axis2=-1)
+    rounding = np.finfo(float).eps * np.max(variance, axis=-1)
+    found: list[FloatArray] = []
+    while directions is None or len(found) < directions:
+        variance = np.diagonal(left, axis1=-2, axis2=-1)
+        if directions is None and np.all(np.max(variance, axis=-1) <= rounding):
+            break
+        pivot = np.argmax(variance, axis=-1) if len(found) >= len(first) else first[len(found)]
+        pivot = np.broadcast_to(pivot, variance.shape[:-1])[..., None]
+        most = np.take_along_axis(variance, pivot, axis=-1)
+        shared = np.take_along_axis(left, pivot[..., None], axis=-1)[..., 0]
+        seen = most > rounding[..., None]
+        found.append(np.where(seen, shared / np.sqrt(np.where(seen, most, 1.0)), 0.0))
+        left = left - found[-1][..., :, None] * found[-1][..., None, :]
+    return np.stack(found, axis=-1) * column if found else np.zeros((*scale.shape, 0))
 
 
 @dataclass(frozen=True)
@@ -196,12 +239,13 @@ class DiscretePlant:
     plant: CoupledPlant
     dt: float  # physics step [s]
     substeps: int  # physics steps per control period
-    directions: int | None = None  # noise draws a physics step; None: as many as lie above rounding
+    directions: int | None = None  # noise draws a physics step; None: all above rounding
 
     def __post_init__(self) -> None:
         _check_step(self.dt)
         if self.substeps < 1:
             raise ParameterError("substeps", self.substeps, "must be a whole number of at least 1")
+        check_directions("directions", self.directions)
 
     @property
     def layout(self) -> StateLayout:
@@ -221,10 +265,20 @@ class DiscretePlant:
 
     @cached_property
     def noise(self) -> FloatArray:
-        """(..., n, rank) factor of the exact covariance that w leaves in the state after one step."""
+        """(..., n, rank) factor of the covariance that w leaves in the state after one step.
+
+        x_w' comes first, x_w second: given draws make the same earthquake whatever the specimen. Two
+        directions reproduce the law of both exactly, and what the other states share with them. What a
+        third would add is, at 1 ms and a storey frequency of 7 Hz, 1e-9 of a mean square of reference or
+        high-pass, 2e-9 of J* at 200 Hz and 4e-8 of its mean-square force error; it goes with dt^4, to
+        1e-6 of J* at 5 ms. One direction loses 1e-4, 1e-4 and 3e-3. To tell a mean square from one that
+        is less by a share e takes 2 / e^2 independent samples: 2e18 of them, against 2e8. No frequency
+        of target and reference shear between 0.2 and 25 Hz loses more than 1e-6 of its power; the shear
+        loses 3e-3 at 500 Hz, where it has 4e-13 of its peak.
+        """
         coupled, scale = self.plant.coupled, self.plant.state_scale
         covariance = noise_covariance(coupled.A, coupled.B[..., 1:], self.dt, scale)
-        return noise_factor(covariance, scale, self.directions)
+        return noise_factor(covariance, scale, self.directions, first=(1, 0))
 
     @cached_property
     def lifted(self) -> LiftedModel:

@@ -38,7 +38,7 @@ from shake_env.reference import YieldingReference
 Array = Any  # a numpy array or a torch tensor
 IntArray = NDArray[np.intp]
 BLOCK_STEPS = 64  # control periods computed ahead
-CHUNK = 64  # lanes whose draws, a megabyte, are used before they leave the cache
+CHUNK = 64  # lanes whose draws, some 300 kB, are used before they leave the cache
 
 
 @dataclass(frozen=True)

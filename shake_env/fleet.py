@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from shake_env import nonlinear_dynamics, reference
-from shake_env.discretization import DiscretePlant
+from shake_env.discretization import MOST_DIRECTIONS, DiscretePlant
 from shake_env.errors import ScenarioError
 from shake_env.excitation import GroundMaps
 from shake_env.nonlinear_dynamics import NonlinearDynamics, arrival, commands_under_way, floor_rows
@@ -19,10 +19,6 @@ from shake_env.parameters import FloatArray, stacked
 from shake_env.plant import CoupledPlant
 from shake_env.scenario import Scenario
 from shake_env.transition import TableModel
-
-# Noise draws a physics step in every lane. Of the directions of one short step's noise only three to
-# five lie above rounding; one too many is the weakest, itself rounding.
-DIRECTIONS = 6
 
 
 class Fleet:
@@ -54,7 +50,9 @@ class Fleet:
             field.name: np.full(lanes, getattr(nominal.stage_cost, field.name))
             for field in fields(StageCost)
         }
-        discrete = replace(scenario.discrete, directions=DIRECTIONS)
+        # How many directions of noise lie above rounding differs from plant to plant.
+        self._directions = scenario.noise_directions or MOST_DIRECTIONS
+        discrete = replace(scenario.discrete, directions=self._directions)
         maps = GroundMaps.of(discrete, scenario.nonlinearity.yielding)
         self._noise = _repeat(maps.noise, lanes)
         self._record = _repeat(maps.record, lanes)
@@ -99,7 +97,7 @@ class Fleet:
             column[index] = getattr(cost, name)
         if self._floors is not None:
             self._floors[index] = floor_rows(plant, parts.yielding)
-        maps = GroundMaps.of(DiscretePlant(plant, step, k, DIRECTIONS), parts.yielding)
+        maps = GroundMaps.of(DiscretePlant(plant, step, k, self._directions), parts.yielding)
         self._noise[index] = maps.noise
         self._record[index] = maps.record
         for name, stack in self._reference.items():

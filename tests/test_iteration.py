@@ -172,8 +172,10 @@ def test_a_wrong_model_costs_repeats_and_does_not_run_away(linear):
     assert np.any(np.diff(costs) > 0.0)  # or the case is too easy to tell anything
     again = run_test(light, quakes, tests.controller)
     assert again.cost[0] == pytest.approx(costs.min()) and costs.min() < still.cost[0]
-    # Uncorrected, each repeat would more than double the error at the specimen's modes.
-    assert costs.max() < 1.5 * still.cost[0] and costs[-1] < costs[0]
+    # Uncorrected, each repeat would more than double the error at the specimen's modes, its cost thus
+    # quadruple. How far one overshoots is the earthquake's; no rise follows another.
+    rises = np.flatnonzero(np.diff(costs) > 0.0)
+    assert np.all(np.diff(rises) > 1) and costs[-1] < costs[0]
 
 
 def test_drive_file_plays_each_lane_from_its_own_start():

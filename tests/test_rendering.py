@@ -123,7 +123,8 @@ def test_strips_show_the_target_and_what_was_achieved(controller):
             assert rows.min() <= height[:, column].max() + 2.0
             assert rows.max() >= height[:, column].min() - 2.0
         if controller is not None:  # a table that stands still is told from its target
-            assert np.abs(height[:, 0] - height[:, 1]).min() > 5.0
+            apart = np.abs(history[:, 0] - history[:, 1]) * (bottom - top) / (2.0 * scale)
+            assert apart.max() > 5.0  # not at every moment: the target passes through zero
 
 
 def test_true_positions_where_the_stroke_is_limited():
