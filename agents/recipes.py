@@ -104,11 +104,13 @@ def _recipe(
     return Recipe(arena=arena, config=config, minutes=minutes, why=why or default, label=label)
 
 
-# The whole of a laboratory's envelope: rise, strong part and decay.
-_WHOLE = {"episode": 15.0}
+# The whole of a laboratory's envelope: rise, strong part and decay. Many earthquakes choose the policy
+# that is kept, for what is lost is lost rarely; and the last part of the stroke costs before it ends.
+_WHOLE = {"episode": 15.0, "evaluation_earthquakes": 128}
+_EARLY = ("limits.soft_share=0.7", "limits.soft_weight=0.02")
 # And what a table may be asked for beside it: earthquakes that use all of its stroke, whose last fifth
-# costs before it ends. More earthquakes choose the policy that is kept: what is lost is lost rarely.
-_STROKE = {**_WHOLE, "artificial": 24, "evaluation_earthquakes": 64}
+# costs.
+_STROKE = {"episode": 15.0, "artificial": 24, "evaluation_earthquakes": 64}
 _SOFT = ("limits.soft_share=0.8", "limits.soft_weight=0.05")
 _WHOLE_NOISE = "the length of the test's earthquakes: a table that minds no place walks further in them"
 _LONG = "as many steps as a quarter of an hour has"
@@ -140,8 +142,8 @@ def _corrected(authority: float = 0.1) -> PPOOptions:
 RECIPES: tuple[Recipe, ...] = (
     _recipe(
         "linear",
-        TrainConfig(algorithm="analytic", total_steps=18_432_000, episode=20.0),
-        2.5,
+        TrainConfig(algorithm="analytic", episode=20.0),
+        2.0,
         _WHOLE_NOISE,
     ),
     _recipe(
@@ -160,20 +162,23 @@ RECIPES: tuple[Recipe, ...] = (
     _recipe("friction", TrainConfig(ppo=PPOOptions(scale_free=False)), 4.0, _BIASES),
     _recipe(
         "laboratory",
-        TrainConfig(algorithm="analytic", analytic=_correction(), total_steps=6_144_000, **_STROKE),
-        5.0,
+        TrainConfig(
+            algorithm="analytic", analytic=_correction(authority=0.3), total_steps=6_144_000, **_WHOLE
+        ),
+        4.0,
         "corrects the best law that a search found",
-        otherwise=_SOFT,
+        otherwise=_EARLY,
     ),
     _recipe(
         "laboratory",
         TrainConfig(algorithm="analytic", analytic=_correction(), total_steps=6_144_000, **_STROKE),
         5.0,
-        "minds the force thirty times as much: a specimen feels nothing else",
+        "minds the force thirty times as much, for a specimen feels nothing else; and holds its place on "
+        "motions that use all of the stroke",
         label="analytic-force",
         otherwise=("objective.force_weight=30", *_SOFT),
     ),
-    _recipe("laboratory", TrainConfig(ppo=_corrected(), **_STROKE), 6.0, _BIASES, otherwise=_SOFT),
+    _recipe("laboratory", TrainConfig(ppo=_corrected(), **_WHOLE), 6.0, _BIASES, otherwise=_EARLY),
     _recipe(
         "unknown-specimen",
         TrainConfig(
@@ -202,13 +207,13 @@ RECIPES: tuple[Recipe, ...] = (
     _recipe(
         "yielding",
         TrainConfig(
-            algorithm="analytic", analytic=_correction(authority=0.1), total_steps=4_915_200, **_STROKE
+            algorithm="analytic", analytic=_correction(authority=0.3), total_steps=4_915_200, **_WHOLE
         ),
         4.0,
         "corrects the best law that a search found",
-        otherwise=_SOFT,
+        otherwise=_EARLY,
     ),
-    _recipe("yielding", TrainConfig(ppo=_corrected(), **_STROKE), 5.0, _BIASES, otherwise=_SOFT),
+    _recipe("yielding", TrainConfig(ppo=_corrected(), **_WHOLE), 5.0, _BIASES, otherwise=_EARLY),
     # The realistic scenario that shows the whole state. From nothing, a critic cannot tell good currents
     # from bad before the tables are lost.
     *(
@@ -219,11 +224,11 @@ RECIPES: tuple[Recipe, ...] = (
                 sac=SACOptions(base="free", authority=0.05),
                 td3=TD3Options(base="free", authority=0.05),
                 tqc=TQCOptions(base="free", authority=0.05),
-                **_STROKE,
+                **_WHOLE,
             ),
             minutes,
             "a correction within a twentieth of the current: exploration alone loses no table",
-            otherwise=_SOFT,
+            otherwise=_EARLY,
         )
         for algorithm, minutes in _OFF_POLICY
     ),
