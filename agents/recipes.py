@@ -173,8 +173,8 @@ RECIPES: tuple[Recipe, ...] = (
         "laboratory",
         TrainConfig(algorithm="analytic", analytic=_correction(), total_steps=6_144_000, **_STROKE),
         5.0,
-        "minds the force thirty times as much, for a specimen feels nothing else; and holds its place on "
-        "motions that use all of the stroke",
+        "minds the force thirty times as much, for a specimen feels nothing else; and holds its place "
+        "on motions that use all of the stroke",
         label="analytic-force",
         otherwise=("objective.force_weight=30", *_SOFT),
     ),
