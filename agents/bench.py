@@ -95,7 +95,7 @@ def markdown(result: dict[str, Any]) -> str:
             lines.append(
                 f"`{row['controller']}` takes {row['tests']} tests of each earthquake, the one that "
                 f"counts included; before that one the specimen has dissipated {row['damage']:.1f} "
-                "times the energy of a perfect test (median). "
+                "times the energy of a perfect test (median)."
             )
     lines.append(
         f"{number} earthquakes, seed {result['seed']}, version {result['version']}, {result['machine']}."
