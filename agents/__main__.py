@@ -28,6 +28,7 @@ from agents.options import ScenarioOptions
 from agents.policy_command import Card, Export
 from agents.progress import progress_bar
 from agents.recipe_search_command import SearchRecipe
+from agents.robustness_command import Robustness
 from agents.scenario_command import ShowScenario
 from agents.tune_command import Tune
 from agents.validate_command import Validate
@@ -226,6 +227,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "recipe-search": SearchRecipe,
     "reproduce": Reproduce,
     "results": Results,
+    "robustness": Robustness,
     "scenario": ShowScenario,
     "train": Train,
     "tune": Tune,
