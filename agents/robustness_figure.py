@@ -9,13 +9,15 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FuncFormatter, NullFormatter, NullLocator
 
-from agents.figure_style import BLACK, CONTROLLERS, GREY, figure_style, new_figure, save_figure
-from agents.robustness_output import at, label, sweep
+from agents.figure_style import BLACK, CONTROLLERS, GREY, TARGET, figure_style, new_figure, save_figure
+from agents.robustness_output import Point, at, label, sweep
 from agents.unlike import QUANTITIES
+from shake_env.parameters import FloatArray
 
 LEAST, MOST = 0.3, 4.0  # of the relative cost that panels show; what lies beyond stands at the edge
 STRIP = 1.19  # height of a controller's row above and below, as a factor on the logarithmic axis
@@ -36,23 +38,25 @@ def draw_robustness(result: dict[str, Any], folder: Path, *, svg: bool = True) -
         Whether each figure is written as SVG, too.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    written = _save(_sweeps(result), folder, f"robustness_{result['scenario']}", svg)
-    if result["maps"]:
-        written += _save(_maps(result), folder, f"robustness_{result['scenario']}_maps", svg)
+    written = []
+    with figure_style():
+        for name, figure in figures(result).items():
+            if svg:
+                written += save_figure(figure, folder, name)
+                continue
+            written.append(folder / f"{name}.png")
+            figure.savefig(written[-1], metadata={"Software": None})
     return written
 
 
-def _save(figure: Any, folder: Path, name: str, svg: bool) -> list[Path]:
-    with figure_style():
-        if svg:
-            return save_figure(figure, folder, name)
-        path = folder / f"{name}.png"
-        figure.savefig(path, metadata={"Software": None})
-        return [path]
+def figures(result: dict[str, Any]) -> dict[str, Figure]:
+    """Return the figures of a result by name: its sweeps, and its maps if it has any."""
+    name = f"robustness_{result['scenario']}"
+    return {name: _sweeps(result)} | ({f"{name}_maps": _maps(result)} if result["maps"] else {})
 
 
-def _sweeps(result: dict[str, Any]) -> Any:
-    """Return cost over the reference's, a panel a quantity."""
+def _sweeps(result: dict[str, Any]) -> Figure:
+    """Return cost over the reference's, and the reference's over its own, a panel a quantity."""
     columns, quantities = 2, result["quantities"]
     rows = -(-len(quantities) // columns)
     with figure_style():
@@ -78,6 +82,7 @@ def _legend(result: dict[str, Any]) -> list[Any]:
             Line2D([], [], label=label(each), markersize=5.0, **CONTROLLERS[i % len(CONTROLLERS)])
             for i, each in enumerate(result["controllers"])
         ),
+        Line2D([], [], label=f"{result['reference']}'s own cost / unchanged", **TARGET),
         Line2D([], [], marker="x", markeredgewidth=1.6, label="above: lost tests", **mark),
         Line2D([], [], marker="o", markerfacecolor="none",
                label=f"below: lost none where {result['reference']} did", **mark),
@@ -94,6 +99,8 @@ def _panel(ax: Axes, result: dict[str, Any], quantity: dict[str, Any]) -> None:
     _scale(ax, quantity)
     # Where the reference lost a test its cost is a fine, and no measure of another's.
     unmeasured = np.array([point["failures"][result["reference"]] > 0 for point in points])
+    own = np.where(unmeasured, np.nan, np.clip(_own_cost(result, points), LEAST, MOST))
+    ax.plot(values, own, **TARGET, zorder=1.5)
     for i, each in enumerate(shown):
         style, name = CONTROLLERS[i % len(CONTROLLERS)], each["name"]
         gone = np.array([point["failures"][name] > 0 for point in points])
@@ -117,6 +124,15 @@ def _panel(ax: Axes, result: dict[str, Any], quantity: dict[str, Any]) -> None:
     ax.set_xlabel(f"{quantity['title']} [{quantity['unit']}]")
 
 
+def _own_cost(result: dict[str, Any], points: list[Point]) -> FloatArray:
+    """Return the reference's cost over its own where nothing is changed, at the same amplitude."""
+    name = result["reference"]
+    unchanged = at(result)["cost"][name]
+    amplitude = np.array([point["changes"].get("amplitude", 1.0) for point in points])
+    own: FloatArray = np.array([point["cost"][name] for point in points]) / (unchanged * amplitude**2)
+    return own
+
+
 def _scale(ax: Axes, quantity: dict[str, Any]) -> None:
     values = quantity["values"]
     if quantity["name"] == "noise":
@@ -134,7 +150,7 @@ def _scale(ax: Axes, quantity: dict[str, Any]) -> None:
     ax.xaxis.set_minor_locator(NullLocator())
 
 
-def _maps(result: dict[str, Any]) -> Any:
+def _maps(result: dict[str, Any]) -> Figure:
     """Return the maps: a row a pair, a column a controller."""
     shown, pairs = result["controllers"], result["maps"]
     by_name = {quantity["name"]: quantity for quantity in result["quantities"]}

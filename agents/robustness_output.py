@@ -208,13 +208,20 @@ def write_robustness(result: dict[str, Any], file: Path) -> None:
     partial.replace(file)
 
 
-def read_robustness(file: Path) -> dict[str, Any]:
+def read_robustness(file: Path, scenario: str | None = None) -> dict[str, Any]:
     """Return a result.
+
+    Parameters
+    ----------
+    file
+        That ``shake robustness`` wrote.
+    scenario
+        Name of the scenario that it has to be of; None: any.
 
     Raises
     ------
     ParameterError
-        If the file cannot be read or is no result of ``shake robustness``.
+        If the file cannot be read, is no result of ``shake robustness``, or of another scenario.
     """
     try:
         result: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
@@ -222,4 +229,7 @@ def read_robustness(file: Path) -> dict[str, Any]:
         raise ParameterError("robustness", str(file), f"cannot be read ({error})") from error
     if not str(result.get("format", "")).startswith("shake-robustness-"):
         raise ParameterError("robustness", str(file), "is no result of shake robustness")
+    if scenario not in (None, result["scenario"]):
+        other = f"is of {result['scenario']}: run shake robustness --scenario {scenario}"
+        raise ParameterError("robustness", str(file), other)
     return result

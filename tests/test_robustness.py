@@ -236,7 +236,7 @@ def small(tmp_path_factory):
     """The command's result with a policy of a scenario that is too short to mean anything."""
     folder = tmp_path_factory.mktemp("robustness")
     words = ["robustness", "--controllers", "analytic", "robust", "--earthquakes", "2"]
-    words += ["--duration", "2", "--quantities", "coulomb_friction", "delay", "--output", str(folder)]
+    words += ["--duration", "0.6", "--quantities", "coulomb_friction", "delay", "--output", str(folder)]
     assert main(words) == 0
     return folder, read_robustness(folder / "robustness_linear.json")
 
@@ -342,6 +342,24 @@ def test_a_card_says_where_its_policy_fails(small, tmp_path):
     with pytest.raises(ParameterError, match="does not hold this policy"):
         write_card(other, robustness=folder / "robustness_linear.json")
     assert load_policy(other).card  # and is a policy all the same
+
+
+def test_a_report_shows_it(small, tmp_path, capsys):
+    folder, result = small
+    words = ["compare", "--controllers", "none", "--noise", "2", "--no-records", "--duration", "5"]
+    file = str(folder / "robustness_linear.json")
+    assert main([*words, "--report", str(tmp_path), "--json", "--robustness", file]) == 0
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert page.count('<img src="data:image/png;base64,') == 2
+    assert "Where they were not made for it" in page
+    assert findings(result, "analytic")[0].replace("'", "&#x27;") in page
+    capsys.readouterr()
+    for more, message in (
+        (["--robustness", file], "give --report"),
+        (["--robustness", file, "--report", str(tmp_path), "--scenario", "laboratory"], "is of linear"),
+    ):
+        assert main([*words, *more]) == 2
+        assert message in capsys.readouterr().err
 
 
 def test_one_json_object_on_standard_output(capsys):
