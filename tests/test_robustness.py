@@ -362,6 +362,32 @@ def test_a_report_shows_it(small, tmp_path, capsys):
         assert message in capsys.readouterr().err
 
 
+def test_all_runs_what_does_not_hold_any_more(tmp_path, monkeypatch, capsys):
+    """One scenario of one quantity, run, left alone, and run again when a cost is not what it was."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["robustness", "--all"]) == 2
+    assert "run --all in the project's folder" in capsys.readouterr().err
+    monkeypatch.setattr("agents.robustness_command.SHOWN", ("linear",))
+    monkeypatch.setattr("agents.robustness.RIVALS", {})
+    monkeypatch.setattr("agents.robustness.SHIPPED", {})
+    page, file = tmp_path / "docs" / "robustness.md", tmp_path / "docs/results/robustness_linear.json"
+    page.parent.mkdir()
+    page.write_text("<!-- robustness linear -->\n<!-- end linear -->\n")
+    one = {"damping_ratio": QUANTITIES["damping_ratio"]}
+    monkeypatch.setattr("agents.robustness.QUANTITIES", one)
+    words = ["robustness", "--all", "--no-maps", "--earthquakes", "1"]
+    assert main(words) == 0
+    assert "as before" not in capsys.readouterr().out
+    assert "![robustness linear](figures/robustness_linear.png)" in page.read_text()
+    made = read_robustness(file)
+    assert main(words) == 0
+    assert "as before" in capsys.readouterr().out
+    made["points"][0]["cost"]["lqr"] *= 1.01  # as under another random stream
+    write_robustness(made, file)
+    assert main(words) == 0
+    assert "as before" not in capsys.readouterr().out
+
+
 def test_one_json_object_on_standard_output(capsys):
     words = ["robustness", "--controllers", "none", "--earthquakes", "1", "--duration", "1"]
     assert main([*words, "--quantities", "damping_ratio", "--json"]) == 0
