@@ -172,7 +172,12 @@ def _cell(result: dict[str, Any], points: list[Point], values: list[float], unit
 
 def section(result: dict[str, Any], pictures: Sequence[Path] = ()) -> str:
     """Return what a page says of a result: pictures, table, and every policy's findings."""
-    parts = [f"![{picture.stem.replace('_', ' ')}]({picture.as_posix()})\n" for picture in pictures]
+    what = {True: "pairs of things changed", False: "one thing changed at a time"}
+    parts = [
+        f"![Cost over {result['reference']}'s on {result['scenario']}, "
+        f"{what[picture.stem.endswith('_maps')]}]({picture.as_posix()})\n"
+        for picture in pictures
+    ]
     parts.append(markdown(result))
     learned = [each for each in result["controllers"] if each["source"] is not None]
     for each in learned or result["controllers"]:

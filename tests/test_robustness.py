@@ -378,7 +378,7 @@ def test_all_runs_what_does_not_hold_any_more(tmp_path, monkeypatch, capsys):
     words = ["robustness", "--all", "--no-maps", "--earthquakes", "1"]
     assert main(words) == 0
     assert "as before" not in capsys.readouterr().out
-    assert "![robustness linear](figures/robustness_linear.png)" in page.read_text()
+    assert "changed at a time](figures/robustness_linear.png)" in page.read_text()
     made = read_robustness(file)
     assert main(words) == 0
     assert "as before" in capsys.readouterr().out
