@@ -1,6 +1,7 @@
 """Controllers on tables that they were not made for, against theory and against the other commands."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -373,7 +374,7 @@ def test_all_runs_what_does_not_hold_any_more(tmp_path, monkeypatch, capsys):
     page, file = tmp_path / "docs" / "robustness.md", tmp_path / "docs/results/robustness_linear.json"
     page.parent.mkdir()
     page.write_text("<!-- robustness linear -->\n<!-- end linear -->\n")
-    one = {"damping_ratio": QUANTITIES["damping_ratio"]}
+    one = {"damping_ratio": replace(QUANTITIES["damping_ratio"], values=(0.5, 1.0))}
     monkeypatch.setattr("agents.robustness.QUANTITIES", one)
     words = ["robustness", "--all", "--no-maps", "--earthquakes", "1"]
     assert main(words) == 0
