@@ -28,6 +28,7 @@ from agents.options import ScenarioOptions
 from agents.policy_command import Card, Export
 from agents.progress import progress_bar
 from agents.recipe_search_command import SearchRecipe
+from agents.robustness_command import Robustness
 from agents.scenario_command import ShowScenario
 from agents.tune_command import Tune
 from agents.validate_command import Validate
@@ -70,6 +71,9 @@ class Compare:
     """Folder for JSON, CSV and the figure (default: out/compare; with --json: none)."""
     report: Path | None = None
     """Folder for a report: one page to open in a browser, and its figures as SVG and PNG."""
+    robustness: Path | None = None
+    """Result of shake robustness on the same scenario, such as docs/results/robustness_linear.json: the
+    report shows it."""
     json: bool = False
     """Print one JSON object on standard output and nothing else there."""
 
@@ -78,12 +82,18 @@ class Compare:
         from agents.compare import compare
         from agents.compare_output import print_tables, write_files
         from agents.report import Gathered, make_report, write_report
+        from agents.robustness_output import read_robustness
         from shake_env.rollout import recorded_earthquakes
 
         if self.noise < 0:
             raise ParameterError("noise", self.noise, "must be at least 0")
         scenario = self.scenario.build()
         gathered = None if self.report is None else Gathered(scenario)
+        unlike = None if self.robustness is None else read_robustness(self.robustness, scenario.name)
+        if unlike is not None and gathered is None:
+            raise ParameterError(
+                "robustness", str(self.robustness), "is shown in a report: give --report"
+            )
         motions = motion_earthquakes(
             self.motion, self.motion_options, scenario, scale=self.scale, console=console
         )
@@ -117,7 +127,7 @@ class Compare:
                 console.print(f"wrote {path}")
         if gathered is not None and self.report is not None:
             command = shlex.join(["shake", *sys.argv[1:]])
-            written = write_report(make_report(result, gathered, command), self.report)
+            written = write_report(make_report(result, gathered, command, unlike), self.report)
             console.print(f"wrote {written[0]} and {len(written) - 1} figures: open it in a browser")
         return result.to_json(settings)
 
@@ -226,6 +236,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "recipe-search": SearchRecipe,
     "reproduce": Reproduce,
     "results": Results,
+    "robustness": Robustness,
     "scenario": ShowScenario,
     "train": Train,
     "tune": Tune,

@@ -13,6 +13,7 @@ from agents.evaluate import digest
 from agents.figure_style import BLUE, GREY, figure_style, new_figure
 from agents.policy_file import PolicyFile, load_policy
 from agents.result_tables import interval
+from agents.robustness_output import findings, read_robustness
 from shake_env.errors import ParameterError
 
 ROWS = (
@@ -30,7 +31,9 @@ ROWS = (
 )
 
 
-def write_card(file: Path, results: Sequence[Path] = (), limits: str = "") -> list[Path]:
+def write_card(
+    file: Path, results: Sequence[Path] = (), limits: str = "", robustness: Path | None = None
+) -> list[Path]:
     """Write the card of a policy file beside it, and return the files written.
 
     Parameters
@@ -42,6 +45,8 @@ def write_card(file: Path, results: Sequence[Path] = (), limits: str = "") -> li
         or alone.
     limits
         Further sentences on limits of use.
+    robustness
+        Result of ``shake robustness`` that holds this policy; None: none was made.
 
     Raises
     ------
@@ -52,15 +57,29 @@ def write_card(file: Path, results: Sequence[Path] = (), limits: str = "") -> li
     """
     policy, sha = load_policy(file), digest(file)
     found = [(result, _row(result, path, sha)) for path, result in _read(results)]
+    unlike = [] if robustness is None else robustness_of(robustness, sha)
+    if robustness is not None and not unlike:
+        raise ParameterError(
+            "robustness", str(robustness), "does not hold this policy: run shake robustness on it"
+        )
     written = [file.with_suffix(".md")]
     figure = None
     if len(policy.card.get("curve", ())) > 1:
         figure = file.with_suffix(".png")
         draw_curve(policy.card["curve"], figure)
         written.append(figure)
-    text = card_text(policy, file, sha, found, figure, limits)
+    text = card_text(policy, file, sha, found, figure, limits, unlike)
     written[0].write_text(text, encoding="utf-8")
     return written
+
+
+def robustness_of(file: Path, sha: str) -> list[str]:
+    """Return what a robustness result says of the policy with this SHA-256; nothing if it lacks it."""
+    result = read_robustness(file)
+    for each in result["controllers"]:
+        if each["source"] is not None and each["source"]["sha256"] == sha:
+            return findings(result, each["name"])
+    return []
 
 
 def _read(results: Sequence[Path]) -> list[tuple[Path, dict[str, Any]]]:
@@ -85,6 +104,7 @@ def card_text(
     found: Sequence[tuple[dict[str, Any], dict[str, Any]]],
     figure: Path | None,
     limits: str,
+    unlike: Sequence[str] = (),
 ) -> str:
     """Return the card as Markdown.
 
@@ -98,6 +118,8 @@ def card_text(
         Its learning curve, or None.
     limits
         Further sentences on limits of use.
+    unlike
+        Sentences on tables and motions that it was not trained on.
     """
     card = policy.card
     config = card.get("config", {})
@@ -137,6 +159,16 @@ def card_text(
         lines += _evaluation(result, row, sha)
     if not found:
         lines += ["Not evaluated on test earthquakes yet.", ""]
+    if unlike:
+        lines += [
+            "## Where it was not trained",
+            "",
+            f"One thing changed at a time, everything else as on `{name}`, and pairs "
+            "(`shake robustness`, docs/robustness.md).",
+            "",
+            *(f"- {sentence}" for sentence in unlike),
+            "",
+        ]
     lines += ["## Limits of use", "", *_limits(policy, name, found, limits), ""]
     return "\n".join(lines)
 

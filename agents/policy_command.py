@@ -59,6 +59,9 @@ class Export:
 class Card:
     """Write a policy's card: how it was made, its learning curve, its evaluation, its limits of use.
 
+    Where docs/results has a robustness result of its scenario that holds the policy, the card says where
+    the policy loses tests and where a classical controller costs less.
+
     Try:
       shake card runs/mine
       shake card agents/pretrained/linear-ppo.safetensors --result docs/results/evaluation_linear.json
@@ -68,6 +71,9 @@ class Card:
     """Run directory or policy file; the card comes to stand beside the file, as *.md and *.png."""
     result: tuple[Path, ...] = ()
     """Result files of shake evaluate that hold a row made of this policy."""
+    robustness: Path | None = None
+    """Result file of shake robustness (default: docs/results/robustness_SCENARIO.json, if it holds this
+    policy)."""
     limits: str = ""
     """Further sentences on limits of use."""
     json: bool = False
@@ -77,10 +83,23 @@ class Card:
         """Write the card."""
         from agents.card import write_card
 
-        files = write_card(_file(str(self.policy)), self.result, self.limits)
+        policy = _file(str(self.policy))
+        robustness = self.robustness or _known_robustness(policy)
+        files = write_card(policy, self.result, self.limits, robustness)
         for file in files:
             console.print(f"wrote {file}")
         return {"files": [str(file) for file in files]}
+
+
+def _known_robustness(policy: Path) -> Path | None:
+    from agents.card import robustness_of
+    from agents.evaluate import digest
+    from agents.policy_file import load_policy
+    from agents.robustness_output import PREFIX
+
+    trained = load_policy(policy).card.get("config", {}).get("scenario", {}).get("scenario", "linear")
+    file = Path("docs/results") / f"{PREFIX}{trained}.json"
+    return file if file.is_file() and robustness_of(file, digest(policy)) else None
 
 
 def _file(text: str) -> Path:

@@ -98,6 +98,7 @@ class Report:
     learning: dict[str, list[tuple[int, float]]]  # by controller that has a curve
     policies: dict[str, PolicyFile]  # by controller that is one
     command: str
+    unlike: dict[str, Any] | None = None  # a result of `robustness` on the same scenario
 
     @property
     def controllers(self) -> list[str]:
@@ -120,7 +121,12 @@ class Report:
         return [name for name in self.controllers if name in chosen]
 
 
-def make_report(comparison: Comparison, gathered: Gathered, command: str) -> Report:
+def make_report(
+    comparison: Comparison,
+    gathered: Gathered,
+    command: str,
+    unlike: dict[str, Any] | None = None,
+) -> Report:
     """Return the report of a comparison whose histories were `gathered`.
 
     Parameters
@@ -131,6 +137,8 @@ def make_report(comparison: Comparison, gathered: Gathered, command: str) -> Rep
         What the comparison's ``on_histories`` was.
     command
         The command line that made it.
+    unlike
+        A result of ``shake robustness`` on the same scenario, shown if it is given.
     """
     scenario = gathered.scenario
     labels = unique_labels(list(comparison.episodes))
@@ -157,6 +165,7 @@ def make_report(comparison: Comparison, gathered: Gathered, command: str) -> Rep
         learning={name: curve for name, curve in learning.items() if len(curve) > 1},
         policies=_policies(comparison.episodes),
         command=command,
+        unlike=unlike,
     )
 
 

@@ -17,6 +17,7 @@ from agents.figure_style import PLOTLY
 from agents.report import Report
 from agents.report_data import page_data
 from agents.report_estimates import mean_interval
+from agents.report_robustness import robustness_part
 
 PLOTLY_FILE = "plotly-basic-4.1.1.min.js.gz"  # plotly.js, basic distribution; MIT, says its first line
 Cell = str
@@ -36,7 +37,8 @@ def page(report: Report, stills: Sequence[str]) -> str:
     data = page_data(report)
     sections = [
         _tables(report), _trade_off(report), _time(report), _spectra(report, data),
-        _hysteresis(data), _transfer(data), _robustness(report, data), _learning(report, data),
+        _hysteresis(data), _transfer(data), _robustness(report, data), _unlike(report),
+        _learning(report, data),
     ]  # fmt: skip
     scenario = report.scenario
     count = len(report.comparison.groups)
@@ -336,6 +338,18 @@ def _robustness(report: Report, data: dict[str, Any]) -> str:
         text += f" Drawn as well, and not shown: {escape(others)}."
     words = "Base shear error against the drawn parameters of the plant, a map for each controller."
     return _section("robust", "Plants that nobody knew", text, _plot("robustness", words))
+
+
+def _unlike(report: Report) -> str:
+    if report.unlike is None:
+        return ""
+    result = report.unlike
+    text = (
+        "Every controller as it is on this scenario, on tables, loops and motions that it was not made "
+        f"for: {len(result['earthquakes'])} earthquakes for each value. Where the reference lost a test "
+        "its cost is no measure; the grey line is its own cost over what it is where nothing is changed."
+    )
+    return _section("unlike", "Where they were not made for it", text, robustness_part(result))
 
 
 def _learning(report: Report, data: dict[str, Any]) -> str:

@@ -18,7 +18,7 @@ import gymnasium
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from agents.figure_style import figure_style, new_figure, save_figure
+from agents.figure_style import CONTROLLERS, figure_style, new_figure, save_figure
 from benchmarks.arithmetic import closed_loops, kernel
 from benchmarks.environments import single, vectors
 from benchmarks.footprint import footprint
@@ -95,15 +95,16 @@ def draw(found: dict[str, Any], folder: Path) -> list[Path]:
         figure = new_figure(9.0, 3.6)
         left, right = figure.subplots(1, 2)
         tables = [int(name.split()[0]) for name in found["vector"]]
-        for name in ("CartPole-v1", "linear", "linear, recorded motion", "laboratory"):
+        names = ("CartPole-v1", "linear", "linear, recorded motion", "laboratory")
+        for name, style in zip(names, CONTROLLERS, strict=False):
             rates = [found["vector"][f"{number} tables"][name] for number in tables]
-            left.loglog(tables, rates, marker="o", label=name)
+            left.loglog(tables, rates, label=name, **style)
         left.set(xlabel="tables", ylabel="table-steps a second", xticks=tables, xticklabels=tables)
         left.legend()
-        for name, case in found["scaling"].items():
+        for (name, case), style in zip(found["scaling"].items(), CONTROLLERS, strict=False):
             sizes = [float(size) for size in case["seconds"]]
             times = 1e6 * np.array(list(case["seconds"].values()))
-            right.loglog(sizes, times, marker="o", label=f"{name}: exponent {case['exponent']:.2f}")
+            right.loglog(sizes, times, label=f"{name}: exponent {case['exponent']:.2f}", **style)
         right.set(xlabel="size", ylabel="time of a step [us]")
         right.legend()
         return save_figure(figure, folder, "benchmarks")

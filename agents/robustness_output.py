@@ -1,0 +1,240 @@
+"""A robustness result in words, as a table, as a file, and on its page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from shake_env.errors import ParameterError
+
+PREFIX = "robustness_"
+MATTERS = (
+    1.02  # a cost beyond this multiple of another's is called larger: what fewer earthquakes can tell
+)
+Point = dict[str, Any]
+
+
+def at(result: dict[str, Any], **values: float) -> Point:
+    """Return the point of a result where these quantities have these values and no other is changed.
+
+    Raises
+    ------
+    ParameterError
+        If the result has no such point.
+    """
+    nominal = {q["name"]: q["nominal"] for q in result["quantities"] if q["trained"] is None}
+    changes = {name: value for name, value in values.items() if nominal.get(name) != value}
+    for point in result["points"]:
+        if point["changes"] == changes:
+            found: Point = point
+            return found
+    raise ParameterError("point", values, "is not in the result: run shake robustness with it")
+
+
+def sweep(result: dict[str, Any], quantity: dict[str, Any]) -> list[Point]:
+    """Return the points of a quantity's values, ascending."""
+    return [at(result, **{quantity["name"]: value}) for value in quantity["values"]]
+
+
+def classical(result: dict[str, Any]) -> list[str]:
+    """Return the names of the controllers that are no policies."""
+    return [each["name"] for each in result["controllers"] if each["source"] is None]
+
+
+def label(each: dict[str, Any]) -> str:
+    """Return a controller's name, with a policy's algorithm where the name does not say it."""
+    name, algorithm = each["name"], (each["source"] or {}).get("algorithm")
+    short = Path(name).name if "/" in name else name
+    return short if algorithm in (None, short) else f"{short} ({algorithm})"
+
+
+def where(values: Sequence[float], chosen: Sequence[bool], unit: str) -> str:
+    """Return which of ascending values are chosen, in words: up to, from, at, to, every value."""
+    if all(chosen):
+        return "at every value"
+    parts, last = [], len(values) - 1
+    for begin, end in _runs(chosen):
+        low, high = f"{values[begin]:.3g}", f"{values[end]:.3g}"
+        if begin == 0 and end > 0:
+            parts.append(f"up to {high}")
+        elif end == last and begin < last:
+            parts.append(f"from {low}")
+        else:
+            parts.append(f"at {low}" if begin == end else f"from {low} to {high}")
+    return " and ".join(parts) + ("" if unit == "-" else f" {unit}") if parts else "nowhere"
+
+
+def _runs(chosen: Sequence[bool]) -> list[tuple[int, int]]:
+    """Return first and last place of each run of chosen ones."""
+    runs: list[tuple[int, int]] = []
+    for place, each in enumerate(chosen):
+        if each and runs and runs[-1][1] == place - 1:
+            runs[-1] = (runs[-1][0], place)
+        elif each:
+            runs.append((place, place))
+    return runs
+
+
+def best_classical(result: dict[str, Any], point: Point) -> str | None:
+    """Return the cheapest classical controller of those that lost no test there; None: all lost one."""
+    held = [name for name in classical(result) if not point["failures"][name]]
+    return min(held, key=lambda name: point["cost"][name]) if held else None
+
+
+def findings(result: dict[str, Any], controller: str) -> list[str]:
+    """Return sentences on where a controller loses tests, and where a classical one costs less."""
+    tests, losses, dearer, total = len(result["earthquakes"]), [], [], 0
+    for quantity in result["quantities"]:
+        points, values = sweep(result, quantity), quantity["values"]
+        gone = [point["failures"][controller] > 0 for point in points]
+        total += sum(point["failures"][controller] for point in points)
+        what, unit = quantity["title"], quantity["unit"]
+        if any(gone):
+            spared = [
+                g and best_classical(result, p) is not None for p, g in zip(points, gone, strict=True)
+            ]
+            beside = f", a classical one none {where(values, spared, unit)}" if any(spared) else ""
+            losses.append(f"{what} {where(values, gone, unit)}{beside}")
+        ratios = [_over_best(result, point, controller) for point in points]
+        worse = [ratio > MATTERS for ratio, _ in ratios]
+        if any(worse):
+            most = max(range(len(points)), key=lambda i: ratios[i][0])
+            ratio, name = ratios[most]
+            place = f"{values[most]:.3g}" + ("" if unit == "-" else f" {unit}")
+            dearer.append(f"{what} {where(values, worse, unit)} ({ratio:.2f} times {name}'s at {place})")
+    count = tests * sum(len(quantity["values"]) for quantity in result["quantities"])
+    lost = f"Lost {total} of {count} tests: {'; '.join(losses)}." if losses else ""
+    sentences = [lost or f"Lost none of {count} tests with one thing changed."]
+    if dearer:
+        sentences.append(f"Costs more than the best classical controller: {'; '.join(dearer)}.")
+    else:
+        sentences.append("Nowhere, where it held, did a classical controller cost less.")
+    for each in result["maps"]:
+        pairs = [at(result, **{each["x"]: x, each["y"]: y}) for x in each["xs"] for y in each["ys"]]
+        gone = [point for point in pairs if point["failures"][controller]]
+        alone = [point for point in gone if best_classical(result, point)]
+        if gone:
+            title = {q["name"]: q["title"] for q in result["quantities"]}
+            also = f", at {len(alone)} of which a classical one lost none" if alone else ""
+            sentences.append(
+                f"Lost tests at {len(gone)} of {len(pairs)} pairs of {title[each['x']]} and "
+                f"{title[each['y']]}{also}."
+            )
+    return sentences
+
+
+def _over_best(result: dict[str, Any], point: Point, controller: str) -> tuple[float, str]:
+    """Return cost over the best classical controller's, and its name; 0 where there is no ratio."""
+    best = best_classical(result, point)
+    if best is None or point["failures"][controller]:
+        return 0.0, ""
+    return point["cost"][controller] / point["cost"][best], best
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """Return a result as a Markdown table: cost over the reference's, and where tests were lost."""
+    shown = result["controllers"]
+    head = ["quantity", "made for", *(label(each) for each in shown)]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for quantity in result["quantities"]:
+        points, values = sweep(result, quantity), quantity["values"]
+        unit = "" if quantity["unit"] == "-" else f" {quantity['unit']}"
+        trained = quantity["trained"] or (quantity["nominal"],)
+        cells = [
+            f"{quantity['title']}, {values[0]:.3g} to {values[-1]:.3g}{unit}",
+            " to ".join(f"{value:.3g}" for value in trained) + unit,
+            *(_cell(result, points, values, quantity["unit"], each["name"]) for each in shown),
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    seed = "recorded" if result["seed"] is None else f"seeds from {result['seed']}"
+    lines += [
+        "",
+        f"Cost over {result['reference']}'s, least to most of the values where neither lost a test. "
+        f"{len(result['earthquakes'])} earthquakes a value, {seed}; version {result['version']} "
+        f"({result['code']}), {result['machine']}.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _cell(result: dict[str, Any], points: list[Point], values: list[float], unit: str, name: str) -> str:
+    gone = [point["failures"][name] > 0 for point in points]
+    held = [
+        point["relative_cost"][name]
+        for point in points
+        if not point["failures"][name] and not point["failures"][result["reference"]]
+    ]
+    low, high = (f"{f(held):.2f}" for f in (min, max)) if held else ("-", "-")
+    text = low if low == high else f"{low} to {high}"
+    return f"{text}; lost {where(values, gone, unit)}" if any(gone) else text
+
+
+def section(result: dict[str, Any], pictures: Sequence[Path] = ()) -> str:
+    """Return what a page says of a result: pictures, table, and every policy's findings."""
+    what = {True: "pairs of things changed", False: "one thing changed at a time"}
+    parts = [
+        f"![Cost over {result['reference']}'s on {result['scenario']}, "
+        f"{what[picture.stem.endswith('_maps')]}]({picture.as_posix()})\n"
+        for picture in pictures
+    ]
+    parts.append(markdown(result))
+    learned = [each for each in result["controllers"] if each["source"] is not None]
+    for each in learned or result["controllers"]:
+        parts.append(f"**{label(each)}.** " + " ".join(findings(result, each["name"])) + "\n")
+    return "\n".join(parts)
+
+
+def put_section(page: Path, name: str, text: str) -> None:
+    """Replace what stands on a page between ``<!-- robustness NAME -->`` and ``<!-- end NAME -->``.
+
+    Raises
+    ------
+    ParameterError
+        If the page lacks the markers or cannot be read.
+    """
+    begin, end = f"<!-- robustness {name} -->\n", f"<!-- end {name} -->"
+    if not page.is_file():
+        raise ParameterError("page", str(page), "there is no such file")
+    before, found, rest = page.read_text(encoding="utf-8").partition(begin)
+    _, closed, after = rest.partition(end)
+    if not (found and closed):
+        raise ParameterError("page", str(page), f"lacks {begin.strip()} or {end}")
+    page.write_text(before + begin + "\n" + text + "\n" + end + after, encoding="utf-8")
+
+
+def write_robustness(result: dict[str, Any], file: Path) -> None:
+    """Write a result with a point on a line."""
+    head = json.dumps({key: value for key, value in result.items() if key != "points"}, indent=1)[:-2]
+    points = ",\n".join(f"  {json.dumps(point)}" for point in result["points"])
+    file.parent.mkdir(parents=True, exist_ok=True)
+    partial = file.with_suffix(".partial")
+    partial.write_text(f'{head},\n "points": [\n{points}\n ]\n}}\n', encoding="utf-8")
+    partial.replace(file)
+
+
+def read_robustness(file: Path, scenario: str | None = None) -> dict[str, Any]:
+    """Return a result.
+
+    Parameters
+    ----------
+    file
+        That ``shake robustness`` wrote.
+    scenario
+        Name of the scenario that it has to be of; None: any.
+
+    Raises
+    ------
+    ParameterError
+        If the file cannot be read, is no result of ``shake robustness``, or of another scenario.
+    """
+    try:
+        result: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, json.JSONDecodeError) as error:
+        raise ParameterError("robustness", str(file), f"cannot be read ({error})") from error
+    if not str(result.get("format", "")).startswith("shake-robustness-"):
+        raise ParameterError("robustness", str(file), "is no result of shake robustness")
+    if scenario not in (None, result["scenario"]):
+        other = f"is of {result['scenario']}: run shake robustness --scenario {scenario}"
+        raise ParameterError("robustness", str(file), other)
+    return result
