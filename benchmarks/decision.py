@@ -1,0 +1,114 @@
+"""One decision of a shipped policy in numpy beside the same network in SB3's own ``predict``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from agents.base_law import base_law
+from agents.config import config_of
+from agents.direct import DIRECT_GAIN
+from agents.memory_units import PARTS
+from agents.models import new_model
+from agents.policy_file import PolicyFile, load_policy
+from agents.sb3_vec_env import ShakeTableVecEnv
+from agents.shipped import shipped_policy
+from benchmarks.timing import seconds_each
+
+SHIPPED = {
+    "linear, 64 x 64": ("policy", "linear"),
+    "laboratory, behind an estimator": ("analytic", "laboratory"),
+    "unknown-specimen, estimator and memory": ("analytic", "unknown-specimen"),
+}
+PERIODS = 50  # of the table from which observations are taken
+# Single precision, and features of up to 20 through weights of order 1: 1e-7 of sums of some tens.
+TOLERANCE = 1e-6
+
+
+def sb3_model(policy: PolicyFile) -> tuple[Any, ShakeTableVecEnv]:
+    """Return an SB3 model that holds a policy file's weights, and a table that it drives.
+
+    The inverse of `export_policy`: sizes of features and the direct path's gain leave the weights.
+    """
+    config = config_of(policy.card["config"])
+    # SB3 warns of minibatches that a single table's roll-out does not fill; none is taken here.
+    config = replace(config, ppo=replace(config.ppo, batch_size=config.ppo.rollout_steps))
+    scenario = config.scenario.build()
+    env = ShakeTableVecEnv(
+        scenario,
+        1,
+        base=policy.law if policy.law is not None else base_law(config.chosen.base, scenario),
+        authority=policy.authority,
+    )
+    model = new_model(config, scenario, env)
+    features, hidden = model.policy.pi_features_extractor, model.policy.mlp_extractor.policy_net
+    sizes, count = features.sizes, len(features.matrix)
+    layers = [m for m in (*hidden, model.policy.action_net) if isinstance(m, torch.nn.Linear)]
+    with torch.no_grad():
+        features.matrix.copy_(torch.from_numpy(policy.matrix))
+        for layer, weight, bias in zip(layers, policy.weights, policy.biases, strict=True):
+            layer.weight.copy_(torch.from_numpy(weight))
+            layer.bias.copy_(torch.from_numpy(bias))
+        layers[0].weight[:, :count] /= sizes
+        if policy.direct:
+            first = layers[-1].weight.shape[1] - model.policy.mlp_extractor.feature_dim
+            layers[-1].weight[:, first:] /= DIRECT_GAIN
+            layers[-1].weight[:, first : first + count] /= sizes
+        if policy.memory is not None:
+            gru = model.policy.gru
+            names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+            for name, part in zip(names, PARTS, strict=True):
+                getattr(gru, name).copy_(torch.from_numpy(getattr(policy.memory, part)))
+            gru.weight_ih /= sizes
+    return model, env
+
+
+def largest_difference(policy: PolicyFile, model: Any, env: ShakeTableVecEnv) -> float:
+    """Return by how much the two differ while the numpy policy drives the table."""
+    env.seed(0)
+    shown, apart = env.reset(), 0.0
+    past: Any = None
+    recalled: Any = None
+    begins = np.ones(1, dtype=bool)
+    for _ in range(PERIODS):
+        action, past = policy.predict(env.observation[0], past)
+        correction, recalled = model.predict(shown, recalled, begins, deterministic=True)
+        begins[:] = False
+        other = np.clip(shown @ env.base + env.authority * correction[0], -1.0, 1.0)
+        apart = max(apart, float(np.abs(other - action).max()))
+        shown = env.step(correction)[0]
+    return apart
+
+
+def decisions(spell: float, spells: int) -> dict[str, dict[str, float]]:
+    """Return seconds of a decision of each shipped policy by both, and how far their actions differ.
+
+    SB3 is given what the estimator believes: the file's decision contains the estimator, its is only
+    the network's. Both carry their memory on.
+    """
+    torch.set_num_threads(1)
+    found = {}
+    for title, name in SHIPPED.items():
+        policy = load_policy(shipped_policy(*name))
+        model, env = sb3_model(policy)
+        apart = largest_difference(policy, model, env)
+        if not apart <= TOLERANCE:
+            raise AssertionError(f"{title}: SB3's model differs by {apart:.1e}")
+        work = {"numpy": _decision(policy, env.observation[0]), "SB3": _decision(model, env._look())}
+        times = seconds_each(work, spell, spells)
+        found[title] = {**times, "largest difference": apart}
+    return found
+
+
+def _decision(policy: Any, observation: Any) -> Callable[[], None]:
+    observation, past = observation.copy(), None
+
+    def call() -> None:
+        nonlocal past
+        past = policy.predict(observation, past, deterministic=True)[1]
+
+    return call
