@@ -23,7 +23,7 @@ from stable_baselines3.common.utils import safe_mean, update_learning_rate
 
 from agents.recurrent import GRUPolicy
 from agents.sb3_vec_env import ShakeTableVecEnv
-from agents.torch_tables import TorchTables, Window
+from agents.torch_tables import Kept, TorchTables, Window
 from shake_env.errors import ParameterError
 
 Seen = tuple[torch.Tensor, torch.Tensor]  # what actor and critic see of an observation
@@ -71,6 +71,9 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         Share of its way to the critic that the slow copy goes per window.
     plant_dtype
         ``"float64"`` or ``"float32"``: precision of the plant's state.
+    checkpoint
+        Control periods of a segment that is run again when the gradient is taken, instead of being kept;
+        0: all of a window is kept. Near the square root of `window` memory is least.
     stagger
         Whether first episodes are shortened so that lanes stand at different places of their motions.
 
@@ -101,6 +104,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         critic_batches: int = 4,
         target_rate: float = 0.2,
         plant_dtype: str = "float64",
+        checkpoint: int = 0,
         stagger: bool = True,
         stats_window_size: int = 100,
         tensorboard_log: str | None = None,
@@ -135,6 +139,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.critic_batches = critic_batches
         self.target_rate = target_rate
         self.plant_dtype = plant_dtype
+        self.checkpoint = checkpoint
         self.stagger = stagger
         self.memory: torch.Tensor | None = (
             None  # (N, units) of a recurrent policy, at the window's start
@@ -240,25 +245,27 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         loss, window, seen
             What the actor descends: the mean discounted stage cost of the window and of what follows it,
             in units of the environment's reward; the window; and what the critic sees at its H + 1 ends
-            of control periods.
+            of control periods, nothing without a terminal value.
         """
-        memory, weights = self._begin(), self.policy.action_net.weight
-        seen: list[torch.Tensor] = []
+        weights = self.policy.action_net.weight
 
-        def look(observation: torch.Tensor) -> torch.Tensor:
-            nonlocal memory
+        def act(observation: torch.Tensor, memory: Kept) -> tuple[torch.Tensor, Kept, Kept]:
             (actor, critic), memory = self._look(observation.to(weights.dtype), memory)
-            seen.append(critic)
-            return actor
+            action = self.policy.action_net(self.policy.mlp_extractor.forward_actor(actor))[:, 0]
+            return action, memory, critic if self.terminal_value else None
 
-        def act(observation: torch.Tensor) -> torch.Tensor:
-            latent = self.policy.mlp_extractor.forward_actor(look(observation))
-            return self.policy.action_net(latent)[:, 0]
-
-        window = self.tables.roll(act, self.window)
-        carried = memory
-        look(window.shown)
-        self.memory = None if carried is None else carried.detach()
+        window = self.tables.roll(
+            act,
+            self.window,
+            recalled=self._begin(),
+            segment=self.checkpoint,
+            parameters=self._actor,
+        )
+        self.memory = None if window.recalled is None else window.recalled.detach()
+        seen: list[torch.Tensor] = []
+        if window.aside is not None:
+            (_, critic), _ = self._look(window.shown.to(weights.dtype), window.recalled)
+            seen = [*window.aside, critic]
         steps = torch.arange(self.window, device=self.device)
         discount = (self.gamma**steps).to(window.rewards.dtype)
         total = (discount[:, None] * window.rewards).sum(dim=0)

@@ -100,6 +100,9 @@ class AnalyticOptions:
     """Lambda of the critic's targets [-], with a terminal value."""
     memory: int = 0
     """Width of the policy's gated recurrent unit; 0: a policy without memory."""
+    checkpoint: int = 0
+    """Control periods of a segment that is run again when the gradient is taken instead of being kept,
+    for windows too long to be kept whole; 0: none is. Memory is least near the window's square root."""
     scale_free: bool = True
     """Whether the actor has no biases (see PPO's); without effect on a policy with memory."""
     base: BaseLaw = "none"
@@ -183,13 +186,13 @@ class TrainConfig:
                 )
         not_positive = (
             "initial_log_std", "target_entropy", "base", "scale_free", "terminal_value", "memory",
-            "precision", "device", "dropped",
+            "precision", "device", "dropped", "checkpoint",
         )  # fmt: skip
         every = (self.ppo, self.sac, self.td3, self.tqc, self.recurrent_ppo, self.analytic)
         for options in every:
             require_positive(options, *(name for name in vars(options) if name not in not_positive))
         require_non_negative(self, "seed", "artificial")
-        require_non_negative(self.analytic, "memory")
+        require_non_negative(self.analytic, "memory", "checkpoint")
         require_non_negative(self.tqc, "dropped")
         if self.tqc.dropped >= self.tqc.quantiles:
             raise ParameterError("dropped", self.tqc.dropped, "must leave a quantile of each critic")

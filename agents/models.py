@@ -239,6 +239,7 @@ def _analytic(
         max_grad_norm=analytic.max_grad_norm * (1.0 - gamma),  # rewards are scaled by that, too
         terminal_value=analytic.terminal_value,
         plant_dtype=analytic.precision,
+        checkpoint=analytic.checkpoint,
         seed=config.seed,
         policy_kwargs=policy,
         device=analytic.device,

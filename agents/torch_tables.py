@@ -1,19 +1,22 @@
 """N tables in torch over a window of control periods, so that a cost can be differentiated through them.
 
 Ground, previews and sensor noise come from the environment's own numpy streams, computed ahead for the
-window and moved once. What the tables pass on from window to window is data: gradients end there.
+window and moved once. What the tables pass on from window to window is data: gradients end there. A long
+window can be followed in segments that are run again when its gradient is taken (`checkpointed`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from agents.checkpointed import checkpointed
 from agents.sb3_vec_env import ShakeTableVecEnv
 from agents.torch_plant import torch_model
 from shake_env.dynamics import PeriodResponse, as_like
@@ -24,7 +27,11 @@ from shake_env.plant import TABLE_DISPLACEMENT
 from shake_env.sensing import FLOOR_ACCELERATIONS
 from shake_env.transition import TableModel
 
-Act = Callable[[torch.Tensor], torch.Tensor]  # observation (N, n) to the policy's action (N,)
+Kept = torch.Tensor | None
+# Observation (N, n) and the policy's memory (N, units) to action (N,), memory, and what to put aside.
+Act = Callable[[torch.Tensor, Kept], tuple[torch.Tensor, Kept, Kept]]
+
+RESULTS = 3  # of a segment: costs, codes and what was put aside; then come what stands behind it
 
 
 @dataclass(frozen=True)
@@ -45,7 +52,19 @@ class Window:
     broken: NDArray[np.int_]  # (N,) code of the broken limit, or 0
     state: torch.Tensor  # (N, states) at the window's end
     memory: SensorMemory  # then
-    law_memory: torch.Tensor | None  # (N, M) of that law then, before it sees the observation
+    law_memory: Kept  # (N, M) of that law then, before it sees the observation
+    recalled: Kept  # (N, units) the policy's memory then
+    aside: Kept  # (H, N, ...) what the policy put aside
+
+
+@dataclass(frozen=True)
+class _Ahead:
+    """What is known of a window before it is followed, unchanged when a part of it is run again."""
+
+    model: TableModel
+    age: NDArray[np.int_]  # (N,) periods since the start of the episodes, at the window's start
+    ground: GroundPeriod  # (H, N, ...)
+    noise: torch.Tensor  # (H, N, s) of the sensors
 
 
 class TorchTables:
@@ -84,7 +103,15 @@ class TorchTables:
             self._model = torch_model(simulation.model, self.like)
         return self._model
 
-    def roll(self, act: Act, steps: int) -> Window:
+    def roll(
+        self,
+        act: Act,
+        steps: int,
+        *,
+        recalled: Kept = None,
+        segment: int = 0,
+        parameters: Sequence[torch.Tensor] = (),
+    ) -> Window:
         """Follow the tables over `steps` control periods; :meth:`commit` puts the environment there.
 
         Parameters
@@ -93,23 +120,84 @@ class TorchTables:
             Called once a control period, in order, with the observations.
         steps
             Control periods H of the window.
+        recalled
+            (N, units) the policy's memory at the window's start.
+        segment
+            Control periods after which only what the tables pass on is kept; a gradient runs each such
+            segment again. Memory is then that of one segment and of H / segment states, least near
+            sqrt(H), for one more forward pass. 0: everything is kept.
+        parameters
+            What `act` depends on and gradients are taken along; needed with segments.
         """
-        simulation, model = self.env.simulation, self.model
-        ground, noise = self._ahead(steps)
-        state = as_like(simulation.state, self.like)
-        memory = simulation.memory.like(self.like)
-        observation = as_like(self.env.observation, self.like)
-        law_memory = None if self._law is None else as_like(self.env.law_memory, self.like)
-        kept = torch.ones(self.env.num_envs, dtype=torch.bool, device=self.like.device)
+        simulation = self.env.simulation
+        ahead = _Ahead(self.model, simulation.step_count.copy(), *self._ahead(steps))
+        sensors = simulation.memory.like(self.like)
+        carried: tuple[Kept, ...] = (
+            as_like(simulation.state, self.like),
+            as_like(self.env.observation, self.like),
+            torch.ones(self.env.num_envs, dtype=torch.bool, device=self.like.device),
+            None if self._law is None else as_like(self.env.law_memory, self.like),
+            recalled,
+            *(getattr(sensors, f.name) for f in fields(SensorMemory)),
+        )
+        parts = []
+        for first in range(0, steps, segment or steps):
+            last = min(first + (segment or steps), steps)
+            follow = partial(self._follow, act, ahead, first, last)
+            # The last segment would be run again at once.
+            again = segment and last < steps and torch.is_grad_enabled()
+            part = checkpointed(follow, carried, parameters) if again else follow(*carried)
+            parts.append(part[:RESULTS])
+            carried = part[RESULTS:]
+        cost, codes, aside = (
+            None if column[0] is None else torch.cat(column) for column in zip(*parts, strict=True)
+        )
+        state, observation, _, law_memory, recalled, *left = carried
+        return self._window(
+            cost,
+            codes,
+            observation=observation,
+            shown=self._look(observation, law_memory, ahead.age + steps)[0],
+            state=state,
+            memory=SensorMemory(*left),
+            law_memory=law_memory,
+            recalled=recalled,
+            aside=aside,
+        )
+
+    def _follow(
+        self,
+        act: Act,
+        ahead: _Ahead,
+        first: int,
+        last: int,
+        state: torch.Tensor,
+        observation: torch.Tensor,
+        kept: torch.Tensor,
+        law_memory: Kept,
+        recalled: Kept,
+        *sensors: torch.Tensor,
+    ) -> tuple[Kept, ...]:
+        """Follow the tables from period `first` to before `last`.
+
+        Returns
+        -------
+        Stage costs (S, N), codes of broken limits (S, N), what the policy put aside (S, N, ...), and
+        what stands behind `last`, as it came in.
+        """
+        model, memory = ahead.model, SensorMemory(*sensors)
         responses: list[PeriodResponse] = []
         currents: list[torch.Tensor] = []
-        for t in range(steps):
-            shown, known = self._look(observation, law_memory, t)
-            action = self._action(act(shown), shown)
+        aside: list[Kept] = []
+        for t in range(first, last):
+            shown, known = self._look(observation, law_memory, ahead.age + t)
+            correction, recalled, put = act(shown, recalled)
+            aside.append(put)
+            action = self._action(correction, shown)
             if self._law is not None:
                 law_memory = self._law.keep(known, action)
             current = model.current_limit * action
-            period = _row(ground, t)
+            period = _part(ahead.ground, t)
             response = model.dynamics.control_step(state, current, period.drive)
             responses.append(response)
             currents.append(current)
@@ -118,13 +206,23 @@ class TorchTables:
             state = torch.where(kept[:, None], response.state, 0.0)
             seen = replace(response, state=state)
             floors = model.floors(state) if self._measures_floors else None
-            observation, memory = model.look(seen, floors, period, action, memory, noise[t])
+            observation, memory = model.look(seen, floors, period, action, memory, ahead.noise[t])
         stacked = PeriodResponse(
             *(torch.stack([getattr(r, f.name) for r in responses]) for f in fields(PeriodResponse))
         )
+        ground = _part(ahead.ground, slice(first, last))
         outcome = model.judge(stacked, torch.stack(currents), ground)
-        ends = (observation, self._look(observation, law_memory, steps)[0], state, memory, law_memory)
-        return self._window(outcome.cost.total + outcome.soft_cost, outcome.broken, *ends)
+        return (
+            outcome.cost.total + outcome.soft_cost,
+            outcome.broken,
+            None if aside[0] is None else torch.stack(aside),
+            state,
+            observation,
+            kept,
+            law_memory,
+            recalled,
+            *(getattr(memory, f.name) for f in fields(SensorMemory)),
+        )
 
     def commit(
         self, window: Window
@@ -148,12 +246,11 @@ class TorchTables:
         )
 
     def _look(
-        self, observation: torch.Tensor, law_memory: torch.Tensor | None, t: int
+        self, observation: torch.Tensor, law_memory: Kept, age: NDArray[np.int_]
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return what the policy is shown t periods into the window, and what the law knows then."""
+        """Return what the policy is shown at ages (N,) of the episodes, and what the law knows then."""
         if self._law is None:
             return observation, observation
-        age = self.env.simulation.step_count + t
         known, believed = self._law.look(law_memory, observation, age)
         return torch.cat([observation, believed], dim=-1), known
 
@@ -177,11 +274,7 @@ class TorchTables:
         self,
         cost: torch.Tensor,
         codes: torch.Tensor,
-        observation: torch.Tensor,
-        shown: torch.Tensor,
-        state: torch.Tensor,
-        memory: SensorMemory,
-        law_memory: torch.Tensor | None,
+        **stands: Any,
     ) -> Window:
         simulation, scale = self.env.simulation, self.env.reward_scale
         broken = codes.cpu().numpy()  # (H, N)
@@ -199,16 +292,12 @@ class TorchTables:
         total = torch.where(running, cost, 0.0) + as_like(extra, self.like)
         return Window(
             rewards=-scale * total,
-            observation=observation,
-            shown=shown,
             ends=torch.as_tensor(ends, device=self.like.device),
             terminated=torch.as_tensor(terminated, device=self.like.device),
             steps=ends,
             returns=-_numpy(total).sum(axis=0),
             broken=np.where(terminated, broken[last], 0),
-            state=state,
-            memory=memory,
-            law_memory=law_memory,
+            **stands,
         )
 
     def _ahead(self, steps: int) -> tuple[GroundPeriod, torch.Tensor]:
@@ -228,9 +317,9 @@ class TorchTables:
         return GroundPeriod(**stacked).like(self.like), as_like(np.stack(noise), self.like)
 
 
-def _row(ground: GroundPeriod, t: int) -> GroundPeriod:
+def _part(ground: GroundPeriod, which: int | slice) -> GroundPeriod:
     parts = (getattr(ground, field.name) for field in fields(GroundPeriod))
-    return GroundPeriod(*(None if part is None else part[t] for part in parts))
+    return GroundPeriod(*(None if part is None else part[which] for part in parts))
 
 
 def _numpy(tensor: torch.Tensor) -> NDArray[np.float64]:
