@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -38,8 +39,11 @@ def scaling(spell: float, spells: int) -> dict[str, dict[str, Any]]:
             for size, simulation in sizes.items()
         }
         times = seconds_each(work, spell, spells)
-        half = len(times) // 2
-        x, y = np.log([float(size) for size in times]), np.log(list(times.values()))
-        slope = float(np.polyfit(x[half:], y[half:], 1)[0])
-        found[name] = {"seconds": times, "exponent": slope}
+        found[name] = {"seconds": times, "exponent": exponent(times, len(times) - len(times) // 2)}
     return found
+
+
+def exponent(costs: Mapping[str, float], largest: int) -> float:
+    """Return the power of the size as which costs grow, fitted over so many of the largest sizes."""
+    x, y = np.log([float(size) for size in costs]), np.log(list(costs.values()))
+    return float(np.polyfit(x[-largest:], y[-largest:], 1)[0])
