@@ -1,0 +1,113 @@
+"""The torch path of a step on a device, beside what the device's memory can move in the same run."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import torch
+
+from agents.torch_plant import torch_model
+from shake_env import make_scenario
+from shake_env.excitation import GroundPeriod
+from shake_env.measurement import SensorMemory
+from shake_env.simulation import Simulation
+
+SCENARIOS = {"linear": {"stories": 5}, "laboratory": {}}
+POWERS = {"cpu": (10, 12, 14), "cuda": (10, 12, 14, 16, 18, 20)}
+COPIED = 2**24  # numbers of the copy: beyond any cache
+
+
+def device(spell: float, spells: int) -> dict[str, Any]:
+    """Return table-steps a second in single precision by tables, and the memory's limit for them.
+
+    A step is transition, cost, limits and observation; the ground is given, for its streams are numpy's.
+    The limit takes each number of state, ground and observation as moved once between memory and device.
+    Where there is no CUDA device, torch's CPU device stands in.
+    """
+    kind = "cuda" if torch.cuda.is_available() else "cpu"
+    torch.set_num_threads(1)
+    found: dict[str, Any] = {
+        "device": torch.cuda.get_device_name() if kind == "cuda" else "cpu, one thread"
+    }
+    with torch.no_grad():
+        source = torch.zeros(COPIED, dtype=torch.float32, device=kind)
+        target = torch.empty_like(source)
+        work: dict[str, Callable[[], object]] = {"copy": lambda: target.copy_(source)}
+        moved = {}
+        for name, options in SCENARIOS.items():
+            for power in POWERS[kind]:
+                key = f"{name} {2**power}"
+                work[key], moved[key] = _step(name, options, 2**power, kind)
+        times = _seconds(work, spell, spells, kind)
+    bandwidth = 2 * 4 * COPIED / times["copy"]
+    found["bandwidth [B/s]"] = bandwidth
+    for name in SCENARIOS:
+        rates = {str(2**power): 2**power / times[f"{name} {2**power}"] for power in POWERS[kind]}
+        bytes_each = moved[f"{name} {2 ** POWERS[kind][-1]}"]
+        found[name] = {"rates": rates, "bytes": bytes_each, "limit": bandwidth / bytes_each}
+    return found
+
+
+def _step(name: str, options: dict[str, Any], tables: int, kind: str) -> tuple[Any, int]:
+    """Return a call that steps so many tables, and the bytes that a table's step has to move."""
+    scenario = make_scenario(name, options)
+    simulation = Simulation(scenario, 1)
+    simulation.start([0], [np.random.default_rng(0)])
+    like = torch.zeros(1, dtype=torch.float32, device=kind)
+    model = torch_model(simulation.model, like)
+    ground = _wide(simulation.excitation.advance().like(like), tables)
+    memory = _wide(simulation.memory.like(like), tables)
+    readings = memory.filtered.shape[-1]
+    noise = torch.zeros((tables, readings), device=kind)
+    action = torch.zeros(tables, device=kind)
+    state = torch.zeros((tables, simulation.state.shape[1]), device=kind)
+
+    def call() -> torch.Tensor:
+        nonlocal state, memory
+        outcome = model.transition(state, action, ground)
+        state = outcome.response.state
+        observation, memory = model.observe(outcome, ground, action, memory, noise)
+        return observation
+
+    shown = call().shape[1]
+    given = [getattr(ground, field.name) for field in fields(GroundPeriod)]
+    remembered = sum(part[0].numel() for part in vars(memory).values())
+    numbers = sum(part[0].numel() for part in given if part is not None)
+    return call, 4 * (numbers + 2 * (state.shape[1] + remembered) + readings + shown + 2)
+
+
+def _wide(parts: Any, tables: int) -> Any:
+    """Return the arrays of one table as those of many, in memory of their own."""
+    kind: type[GroundPeriod] | type[SensorMemory] = type(parts)
+    columns = (getattr(parts, field.name) for field in fields(kind))
+    return kind(*(c if c is None else c.repeat(tables, *(1,) * (c.dim() - 1)) for c in columns))
+
+
+def _seconds(
+    work: dict[str, Callable[[], object]], spell: float, spells: int, kind: str
+) -> dict[str, float]:
+    """Return median seconds of a call of each, in turns; of a GPU the wall time up to its end."""
+    clock = time.process_time if kind == "cpu" else time.perf_counter
+
+    def seconds(call: Callable[[], object], number: int) -> float:
+        begin = clock()
+        for _ in range(number):
+            call()
+        if kind == "cuda":
+            torch.cuda.synchronize()
+        return clock() - begin
+
+    numbers = {}
+    for name, call in work.items():
+        seconds(call, 2)
+        numbers[name] = max(1, round(spell / max(seconds(call, 1), 1e-7)))
+    taken: dict[str, list[float]] = {name: [] for name in work}
+    for _ in range(spells):
+        for name, call in work.items():
+            taken[name].append(seconds(call, numbers[name]) / numbers[name])
+    return {name: statistics.median(times) for name, times in taken.items()}
