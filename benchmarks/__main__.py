@@ -1,7 +1,7 @@
 """``OMP_NUM_THREADS=1 python -m benchmarks``: speed beside peers and beside the machine's limits.
 
-Every number comes from this run: what is compared is measured in turns (`timing`), with one thread for
-matrix products. gymnax, a peer on jax, is not among them: it would need an environment of its own.
+What is compared is measured in turns (`timing`), with one thread for matrix products. ``--only``
+measures some groups and takes the others from the file of ``--json``; without a name after it, all.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import json
 import os
 import platform
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,13 @@ from threadpoolctl import threadpool_limits
 
 from agents.figure_style import CONTROLLERS, figure_style, new_figure, save_figure
 from benchmarks.arithmetic import closed_loops, kernel
+from benchmarks.decision import decisions
+from benchmarks.device import device
 from benchmarks.environments import single, vectors
 from benchmarks.footprint import footprint
+from benchmarks.learning import learning
+from benchmarks.page import put, tables
+from benchmarks.peers import peers
 from benchmarks.scaling import scaling
 
 
@@ -41,52 +47,22 @@ def machine() -> dict[str, Any]:
     }
 
 
-def measure(quick: bool) -> dict[str, Any]:
-    """Run every benchmark."""
+def groups(quick: bool) -> dict[str, Callable[[], dict[str, Any]]]:
+    """Return the benchmarks by name, in the order of the page."""
     spell, spells = (0.05, 3) if quick else (0.2, 9)
     return {
-        "machine": machine(),
-        "single": single(spell, spells),
-        "vector": vectors(spell, spells),
-        "arithmetic": kernel(spell, spells),
-        "closed loops": closed_loops(200 if quick else 1000),
-        "footprint": footprint(1 if quick else 5),
-        "scaling": scaling(spell / 4, spells),
+        "machine": machine,
+        "single": lambda: single(spell, spells),
+        "vector": lambda: vectors(spell, spells),
+        "peers": lambda: peers(spell, spells),
+        "arithmetic": lambda: kernel(spell, spells),
+        "closed loops": lambda: closed_loops(200 if quick else 1000),
+        "decision": lambda: decisions(spell, spells),
+        "learning": lambda: learning(spell / 4, spells // 3 + 1, quick),
+        "device": lambda: device(spell, spells),
+        "footprint": lambda: footprint(1 if quick else 5),
+        "scaling": lambda: scaling(spell / 4, spells),
     }
-
-
-def report(found: dict[str, Any]) -> list[str]:
-    """Return the results in lines, with their ratios."""
-    lines = ["machine: " + ", ".join(f"{key} {value}" for key, value in found["machine"].items())]
-    groups = {"one environment, through gymnasium.make": found["single"]}
-    groups |= {f"{tables}, steps of a table": rates for tables, rates in found["vector"].items()}
-    for title, rates in groups.items():
-        lines.append(title)
-        for name, rate in rates.items():
-            ratio = rate / rates["CartPole-v1"]
-            lines.append(f"  {name:30s} {rate:12,.0f} a second  {ratio:7.2f} times CartPole-v1")
-    wide = found["vector"]["1024 tables"]
-    each = wide["laboratory"] / wide["laboratory, a specimen each"]
-    lines.append(f"a specimen each costs {each:.2f} times a common one (laboratory, 1024 tables)")
-    sb3 = found["vector"]["64 tables"]
-    ratio = sb3["linear, SB3 VecEnv"] / sb3["CartPole-v1, SB3 DummyVecEnv"]
-    lines.append(f"SB3 at 64: {ratio:.1f} times DummyVecEnv with CartPole")
-    peak = found["arithmetic"]["matrix product 768 x 768"]
-    lines.append("multiply-adds at 1024 tables, n_m = 5")
-    for name, rate in found["arithmetic"].items():
-        lines.append(f"  {name:30s} {rate:8.2f} e9 a second, the peak is {peak / rate:.1f} times that")
-    loops = found["closed loops"]
-    lines.append("closed loops of 10 s at 500 Hz")
-    for name in ("textbook batch", "scipy dlsim"):
-        lines.append(f"  {name}: {loops[name]:.2f} s, {loops[name] / loops['blocks']:.1f} times blocks")
-    apart = loops["largest relative difference"]
-    lines.append(f"  blocks: {loops['blocks']:.3f} s; largest relative difference {apart:.1e}")
-    lines.append(
-        "footprint: " + ", ".join(f"{name} {value}" for name, value in found["footprint"].items())
-    )
-    exponents = {name: case["exponent"] for name, case in found["scaling"].items()}
-    lines.append("cost grows as: " + ", ".join(f"{n} ^ {e:.2f}" for n, e in exponents.items()))
-    return lines
 
 
 def draw(found: dict[str, Any], folder: Path) -> list[Path]:
@@ -112,15 +88,40 @@ def draw(found: dict[str, Any], folder: Path) -> list[Path]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    known = groups(quick=False)
     parser.add_argument("--json", type=Path, help="write the numbers to this file")
     parser.add_argument("--figure", type=Path, help="draw the figure into this folder")
+    parser.add_argument("--page", type=Path, help="renew the tables of this Markdown page")
     parser.add_argument("--quick", action="store_true", help="short spells: a look, not a measurement")
+    parser.add_argument(
+        "--peers", action="store_true", help="install gymnax into .venv-peers, and measure beside it"
+    )
+    parser.add_argument(
+        "--only",
+        nargs="*",
+        metavar="GROUP",
+        help=f"measure these alone, of {', '.join(known)}; the rest as the file of --json has it",
+    )
     asked = parser.parse_args()
+    chosen = [name for name in known if name != "peers" or asked.peers]
+    found: dict[str, Any] = {}
+    if asked.only is not None:
+        if unknown := set(asked.only) - set(known):
+            parser.error(f"no such group: {', '.join(sorted(unknown))}; there are {', '.join(known)}")
+        chosen = [name for name in known if name in asked.only]
+        if asked.json and asked.json.exists():
+            found = json.loads(asked.json.read_text(encoding="utf-8"))
     with threadpool_limits(1):
-        found = measure(asked.quick)
-    print("\n".join(report(found)))
+        for name in chosen:
+            found[name] = groups(asked.quick)[name]()
+    found = {name: found[name] for name in known if name in found}
+    made = tables(found)
+    for name, lines in made.items():
+        print(f"\n{name}\n", *lines, sep="\n")
     if asked.json:
         asked.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    if asked.page:
+        put(asked.page, made)
     if asked.figure:
         asked.figure.mkdir(parents=True, exist_ok=True)
         print(*draw(found, asked.figure), file=sys.stderr)

@@ -1,0 +1,172 @@
+"""The measured numbers as Markdown tables, put between a page's markers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from benchmarks.goals import goals, number
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> list[str]:
+    """Return the lines of a Markdown table."""
+    head = list(head)
+    lines = [head, ["---"] * len(head), *rows]
+    return ["| " + " | ".join(line) + " |" for line in lines]
+
+
+def tables(found: dict[str, Any]) -> dict[str, list[str]]:
+    """Return the lines of each table, by the name of its markers, of the groups that were measured."""
+    makers = {
+        "machine": _machine, "single": _single, "vector": _vector, "peers": _peers,
+        "arithmetic": _arithmetic, "closed loops": _closed_loops, "decision": _decision,
+        "learning": _learning, "device": _device, "footprint": _footprint, "scaling": _scaling,
+    }  # fmt: skip
+    made = {name: make(found[name]) for name, make in makers.items() if name in found}
+    return {"goals": _goals(found), **made}
+
+
+def put(page: Path, made: dict[str, list[str]]) -> None:
+    """Replace what stands between ``<!-- NAME -->`` and ``<!-- end NAME -->`` by the tables.
+
+    Raises
+    ------
+    ValueError
+        If the page lacks a table's markers.
+    """
+    text = page.read_text(encoding="utf-8")
+    for name, lines in made.items():
+        begin, end = f"<!-- {name} -->\n", f"<!-- end {name} -->"
+        if begin not in text or end not in text:
+            raise ValueError(f"{page} has no markers {begin.strip()} and {end}")
+        before, rest = text.split(begin, 1)
+        text = before + begin + "\n" + "\n".join(lines) + "\n\n" + end + rest.split(end, 1)[1]
+    page.write_text(text, encoding="utf-8")
+
+
+def _goals(found: dict[str, Any]) -> list[str]:
+    every = goals(found)
+    lines = ["| | goal | measured | measured / goal | met |", "|---|---|---|---|---|"]
+    lines += [goal.row() for goal in every]
+    reasons = dict.fromkeys(goal.why for goal in every if not goal.met and goal.why)
+    for why in reasons:
+        missed = [goal.what for goal in every if not goal.met and goal.why == why]
+        lines += ["", f"Missed: {'; '.join(missed)}. {why}"]
+    return lines
+
+
+def _machine(machine: dict[str, Any]) -> list[str]:
+    return [", ".join(f"{key}: {value}" for key, value in machine.items()) + "."]
+
+
+def _single(rates: dict[str, float]) -> list[str]:
+    cart = rates["CartPole-v1"]
+    rows = [(name, number(rate), f"{rate / cart:.2f}") for name, rate in rates.items()]
+    return table(("", "steps/s", "beside CartPole-v1"), rows)
+
+
+def _vector(found: dict[str, dict[str, float]]) -> list[str]:
+    names = dict.fromkeys(name for rates in found.values() for name in rates)
+    rows = [
+        (name, *(f"{rates[name] / 1e6:.2f} M" if name in rates else "" for rates in found.values()))
+        for name in names
+    ]
+    return table(("table-steps/s", *found), rows)
+
+
+def _peers(found: dict[str, Any]) -> list[str]:
+    if "unavailable" in found:
+        return [f"gymnax could not be installed: {found['unavailable']}"]
+    return _vector(found)
+
+
+def _arithmetic(rates: dict[str, float]) -> list[str]:
+    peak = rates["matrix product 768 x 768"]
+    rows = [(name, f"{rate:.2f}", f"{peak / rate:.1f}") for name, rate in rates.items()]
+    return table(("", "1e9 multiply-adds/s", "the peak beside it"), rows)
+
+
+def _closed_loops(found: dict[str, float]) -> list[str]:
+    ways = ("blocks", "textbook batch", "scipy dlsim")
+    rows = [(name, f"{found[name]:.3g}", f"{found[name] / found['blocks']:.1f}") for name in ways]
+    lines = table((f"{found['earthquakes']} earthquakes", "s", "beside blocks"), rows)
+    return [*lines, "", f"Largest relative difference: {found['largest relative difference']:.0e}."]
+
+
+def _decision(found: dict[str, dict[str, float]]) -> list[str]:
+    rows = [
+        (
+            name,
+            f"{1e6 * times['numpy']:.0f}",
+            f"{1e6 * times['SB3']:.0f}",
+            f"{times['SB3'] / times['numpy']:.1f}",
+            f"{times['largest difference']:.0e}",
+        )
+        for name, times in found.items()
+    ]
+    return table(("", "numpy [us]", "SB3 [us]", "SB3 / numpy", "actions differ by"), rows)
+
+
+def _learning(found: dict[str, Any]) -> list[str]:
+    rows = [
+        (
+            name,
+            *(f"{100.0 * shares[key]:.1f} %" for key in ("share of roll-outs", "share of all")),
+            f"{1e6 * shares['a period of 64 tables [s]']:.0f} us",
+        )
+        for name, shares in found["PPO"].items()
+    ]
+    lines = table(("PPO, 64 tables", "of roll-outs", "of all time", "a period"), rows)
+    for name, ways in found["gradient"].items():
+        windows = list(ways["forward"]["seconds"])
+        forward = ways["forward"]["seconds"]
+        rows = [("forward pass [ms]", *(f"{1e3 * forward[w]:.0f}" for w in windows), "time")]
+        for way in ("gradient", "in segments"):
+            seconds = ways[way]["seconds"]
+            ratios = (f"{seconds[w] / forward[w]:.2f}" for w in windows)
+            rows.append((f"{way}, beside the forward pass", *ratios, "time"))
+        for way in ("gradient", "in segments"):
+            memory = ways[way]["bytes"]
+            if memory is not None:
+                rows.append((f"{way} [MiB]", *(f"{memory[w] / 2**20:.0f}" for w in windows), "memory"))
+        places = {"forward pass [ms]": "forward"}
+        powers = [
+            ways[places.get(row[0], "in segments" if row[0].startswith("in") else "gradient")][
+                f"exponent of {row[-1]}"
+            ]
+            for row in rows
+        ]
+        rows = [(*row[:-1], f"{power:.2f}") for row, power in zip(rows, powers, strict=True)]
+        lines += ["", *table((f"{name}, window", *windows, "grows to the power"), rows)]
+    return lines
+
+
+def _device(found: dict[str, Any]) -> list[str]:
+    names = [name for name, each in found.items() if isinstance(each, dict)]
+    sizes = list(found[names[0]]["rates"])
+    rows = [
+        (
+            name,
+            *(f"{found[name]['rates'][size] / 1e6:.2f} M" for size in sizes),
+            f"{found[name]['bytes']:,} B".replace(",", " "),
+            f"{found[name]['limit'] / 1e6:.0f} M",
+        )
+        for name in names
+    ]
+    head = ("table-steps/s, float32", *(f"{size} tables" for size in sizes), "a step moves", "limit")
+    told = f"Device: {found['device']}; a copy moves {found['bandwidth [B/s]'] / 1e9:.1f} GB/s."
+    return [*table(head, rows), "", told]
+
+
+def _footprint(found: dict[str, Any]) -> list[str]:
+    rows = [(name, f"{v:.2f}" if isinstance(v, float) else str(v)) for name, v in found.items()]
+    return table(("", ""), rows)
+
+
+def _scaling(found: dict[str, Any]) -> list[str]:
+    rows = []
+    for name, case in found.items():
+        smallest, *_, largest = case["seconds"]
+        rows.append((name, f"{smallest} to {largest}", f"{case['exponent']:.2f}"))
+    return table(("size", "tried", "cost grows as its power"), rows)

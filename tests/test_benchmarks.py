@@ -1,0 +1,84 @@
+"""What the benchmarks say of their numbers; the numbers themselves are a machine's."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.policy_file import load_policy
+from agents.shipped import shipped_policy
+
+pytest.importorskip("torch")
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(autouse=True)
+def checkout(monkeypatch):
+    """Benchmarks are run from a checkout, and not installed."""
+    monkeypatch.syspath_prepend(str(ROOT))
+
+
+def test_the_exponent_is_a_power_laws_over_the_largest_sizes():
+    from benchmarks.scaling import exponent
+
+    costs = {str(n): 3.0 * n**1.5 for n in (4, 8, 16, 32)}
+    assert exponent(costs, 4) == pytest.approx(1.5, abs=1e-12)
+    assert exponent({"1": 100.0, **costs}, 3) == pytest.approx(1.5, abs=1e-12)
+
+
+@pytest.mark.parametrize("at_least", [True, False])
+def test_a_goal_is_met_on_its_side_of_the_bound_and_on_it(at_least):
+    from benchmarks.goals import Goal
+
+    verdicts = [
+        Goal(what="x", bound=2.0, found=found, at_least=at_least).met for found in (1.9, 2.0, 2.1)
+    ]
+    assert verdicts == ([False, True, True] if at_least else [True, True, False])
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(1_512_345.0, "1 512 345"), (12.34, "12.3"), (0.034, "0.034"), (3e-13, "3.0e-13")],
+)
+def test_numbers_are_short(value, text):
+    from benchmarks.goals import number
+
+    assert number(value) == text
+
+
+def test_the_page_has_a_place_for_every_table(tmp_path):
+    from benchmarks.__main__ import groups
+    from benchmarks.page import put
+
+    copy = tmp_path / "page.md"
+    copy.write_text((ROOT / "docs" / "performance.md").read_text(encoding="utf-8"), encoding="utf-8")
+    names = ["goals", *groups(quick=True)]
+    for _ in range(2):  # again: what was put is replaced
+        put(copy, {name: [f"of {name} here"] for name in names})
+    text = copy.read_text(encoding="utf-8")
+    assert [text.count(f"of {name} here") for name in names] == [1] * len(names)
+    with pytest.raises(ValueError, match="no markers <!-- another -->"):
+        put(copy, {"another": []})
+
+
+def test_a_missed_goal_says_why_and_a_met_one_does_not():
+    from benchmarks.page import tables
+
+    rates = {"CartPole-v1": 100.0, "linear, n_m = 5": 130.0, "laboratory": 110.0}
+    rates |= {"linear, n_m = 2": 130.0, "linear, n_m = 10": 120.0}
+    lines = tables({"single": rates})["goals"]
+    assert [line.count("**no**") for line in lines if line.startswith("| one ")] == [1, 0]
+    (missed,) = (line for line in lines if line.startswith("Missed"))
+    assert missed.startswith("Missed: one linear table beside CartPole-v1. A step of CartPole")
+
+
+def test_an_sb3_model_of_a_shipped_policys_weights_acts_as_its_file():
+    from benchmarks.decision import SHIPPED, largest_difference, sb3_model
+
+    for name in SHIPPED.values():
+        policy = load_policy(shipped_policy(*name))
+        model, env = sb3_model(policy)
+        # Single precision: 1e-7 of sums of some tens of terms of order 1.
+        assert largest_difference(policy, model, env) < 1e-6
+        assert np.abs(model.predict(env.reset(), deterministic=True)[0]).max() < 1.0
