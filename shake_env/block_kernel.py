@@ -186,7 +186,8 @@ def _stops(
 
 
 @jit
-def _slips(x: FloatArray, v: FloatArray, stories: int, slips: FloatArray, w: int) -> None:
+def slip_rates(x: FloatArray, v: FloatArray, stories: int, slips: FloatArray, w: int) -> None:
+    """Write the slip rates (stories, w) of states whose first four rows are the table's."""
     drift_limit, exponent = v[YIELD_DRIFT], v[EXPONENT]
     whole = exponent == math.floor(exponent) and exponent <= 16.0
     for storey in range(stories):
@@ -247,7 +248,7 @@ def nonlinear(
         for n in range(w):
             rate[n] = within(rate[n], limit) - rate[n]
     if s[SLIPS] >= 0:
-        _slips(x, v, s[STORIES], g[s[SLIPS] :], w)
+        slip_rates(x, v, s[STORIES], g[s[SLIPS] :], w)
 
 
 @jit

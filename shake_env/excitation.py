@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -207,19 +207,23 @@ class GroundMaps:
         return GroundMaps(self.noise[lanes], self.record[lanes], reference)
 
 
-def _compiled_filter() -> Callable[..., None] | None:
-    """Return the compiled filter, or None where it is switched off or numba is not there."""
-    return _load_filter() if nonlinear_dynamics.COMPILED else None
+def _compiled() -> Any:
+    """Return `ground_kernel`, or None where it is switched off or numba is not there."""
+    return _load_kernel() if nonlinear_dynamics.COMPILED else None
 
 
 @lru_cache(maxsize=1)
-def _load_filter() -> Callable[..., None] | None:
+def _load_kernel() -> Any:
     try:
-        from shake_env.ground_kernel import run_filter
+        from shake_env import ground_kernel
     except (ImportError, RuntimeError):  # no numba, or no folder to keep its work in
         return None
-    found: Callable[..., None] = run_filter
-    return found
+    return ground_kernel
+
+
+def _stacked(matrix: FloatArray) -> FloatArray:
+    """Return a matrix, or one a lane, as a stack (1 or N, rows, columns)."""
+    return matrix if matrix.ndim == 3 else matrix[None]
 
 
 @lru_cache(maxsize=64)
@@ -398,10 +402,12 @@ class Excitation:
             assert stream is not None  # as _fill sorted them
             stream.standard_normal(out=drawn)
         amplitude = self._amplitude[lanes]
-        run = _compiled_filter()
-        if run is not None:
-            maps = self.maps.noise if self.maps.noise.ndim == 3 else self.maps.noise[None]
-            run(self._store, self._noise, self._tail, maps, lanes, intensity, which, amplitude, first)
+        kernel = _compiled()
+        if kernel is not None:
+            maps = _stacked(self.maps.noise)
+            kernel.run_filter(
+                self._store, self._noise, self._tail, maps, lanes, intensity, which, amplitude, first
+            )
             return
         noise = self._noise[: len(lanes), :steps]
         shaped = noise.reshape(len(lanes), steps, self._discrete.substeps, -1)
@@ -430,6 +436,11 @@ class Excitation:
             samples[row, : len(part)] = part
             ends = _filter_history(self._discrete.plant.ground, motion, dt)[begin + k :: k][:steps]
             states[row, : len(ends)] = ends
+        kernel = _compiled()
+        if kernel is not None:
+            maps = _stacked(self.maps.record)
+            kernel.run_records(self._store, samples, states, self._tail, maps, lanes, first)
+            return
         step_map = self.maps.pick(lanes).record
         x = self._tail[lanes, rows.ground :]
         reference = slice(rows.ground, self._exogenous)
@@ -448,7 +459,24 @@ class Excitation:
         """Put the yielding reference in the place of the linear one."""
         assert self.maps.yielding is not None  # the caller asked
         k, n = self._discrete.substeps, self._discrete.layout.stories
-        at = self._exogenous
+        at, kernel = self._exogenous, _compiled()
+        if kernel is not None:
+            whole = self.maps.yielding
+            parts = (whole.A, whole.ground, whole.ground_next, whole.level)
+            kernel.run_yielding(
+                self._store,
+                self._slipping,
+                self._last_target,
+                _stacked(np.concatenate(parts, axis=-1)),
+                _stacked(whole.slope),
+                _stacked(whole.C),
+                kernel.law(whole.yielding),
+                lanes,
+                first,
+                self._rows.ground,
+                k,
+            )
+            return
         block = self._buffer[first:, lanes]
         target = block[:, :, at : at + k].transpose(0, 2, 1).reshape(-1, len(lanes))
         target = np.concatenate([self._last_target[None, lanes], target])
