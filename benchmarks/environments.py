@@ -77,6 +77,8 @@ def single(spell: float, spells: int) -> dict[str, float]:
         "linear, n_m = 5": stepper(shake("linear", stories=STORIES), still),
         "linear, n_m = 10": stepper(shake("linear", stories=10), still),
         "laboratory": stepper(shake("laboratory"), still),
+        "yielding": stepper(shake("yielding"), still),
+        "records": stepper(shake("records"), still),
     }
     return {name: STEPS / each for name, each in seconds_each(work, spell, spells).items()}
 
@@ -96,6 +98,7 @@ def vectors(spell: float, spells: int) -> dict[str, dict[str, float]]:
                 shake_vector(number, "linear", stories=STORIES, record="napa2014_68150_hne"), still
             ),
             "laboratory": vector(shake_vector(number, "laboratory"), still),
+            "yielding": vector(shake_vector(number, "yielding"), still),
             "laboratory, a specimen each": vector(
                 shake_vector(number, "laboratory", uncertainty=OWN), still
             ),

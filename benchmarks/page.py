@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 from benchmarks.goals import goals, number
@@ -52,7 +53,7 @@ def _goals(found: dict[str, Any]) -> list[str]:
     reasons = dict.fromkeys(goal.why for goal in every if not goal.met and goal.why)
     for why in reasons:
         missed = [goal.what for goal in every if not goal.met and goal.why == why]
-        lines += ["", f"Missed: {'; '.join(missed)}. {why}"]
+        lines += ["", *wrap(f"Missed: {'; '.join(missed)}. {why}", 118)]
     return lines
 
 

@@ -1,5 +1,6 @@
 """What the benchmarks say of their numbers; the numbers themselves are a machine's."""
 
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -69,8 +70,24 @@ def test_a_missed_goal_says_why_and_a_met_one_does_not():
     rates |= {"linear, n_m = 2": 130.0, "linear, n_m = 10": 120.0}
     lines = tables({"single": rates})["goals"]
     assert [line.count("**no**") for line in lines if line.startswith("| one ")] == [1, 0]
-    (missed,) = (line for line in lines if line.startswith("Missed"))
-    assert missed.startswith("Missed: one linear table beside CartPole-v1. A step of CartPole")
+    first = next(i for i, line in enumerate(lines) if line.startswith("Missed"))
+    told = " ".join(lines[first:])
+    assert told.startswith("Missed: one linear table beside CartPole-v1. A step of CartPole")
+    assert "laboratory" not in told
+
+
+def test_peers_that_cannot_be_installed_are_said_to_be_missing(monkeypatch, tmp_path):
+    from benchmarks import peers
+    from benchmarks.page import tables
+
+    def refused(folder):
+        raise subprocess.CalledProcessError(1, ["pip"], stderr="ERROR: one\nERROR: no such package\n")
+
+    monkeypatch.setattr(peers, "environment", refused)
+    found = peers.peers(0.0, 1, tmp_path)
+    made = tables({"peers": found})
+    assert made["peers"] == ["gymnax could not be installed: ERROR: no such package"]
+    assert len(made["goals"]) == 2  # a head without rows
 
 
 def test_an_sb3_model_of_a_shipped_policys_weights_acts_as_its_file():
