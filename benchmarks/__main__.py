@@ -19,11 +19,11 @@ import gymnasium
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from agents.figure_style import CONTROLLERS, figure_style, new_figure, save_figure
 from benchmarks.arithmetic import closed_loops, kernel
 from benchmarks.decision import decisions
 from benchmarks.device import device
 from benchmarks.environments import single, vectors
+from benchmarks.figure import draw
 from benchmarks.footprint import footprint
 from benchmarks.learning import learning
 from benchmarks.page import put, tables
@@ -65,27 +65,6 @@ def groups(quick: bool) -> dict[str, Callable[[], dict[str, Any]]]:
     }
 
 
-def draw(found: dict[str, Any], folder: Path) -> list[Path]:
-    """Draw the rates by tables, and the costs by size."""
-    with figure_style():
-        figure = new_figure(9.0, 3.6)
-        left, right = figure.subplots(1, 2)
-        tables = [int(name.split()[0]) for name in found["vector"]]
-        names = ("CartPole-v1", "linear", "linear, recorded motion", "laboratory")
-        for name, style in zip(names, CONTROLLERS, strict=False):
-            rates = [found["vector"][f"{number} tables"][name] for number in tables]
-            left.loglog(tables, rates, label=name, **style)
-        left.set(xlabel="tables", ylabel="table-steps a second", xticks=tables, xticklabels=tables)
-        left.legend()
-        for (name, case), style in zip(found["scaling"].items(), CONTROLLERS, strict=False):
-            sizes = [float(size) for size in case["seconds"]]
-            times = 1e6 * np.array(list(case["seconds"].values()))
-            right.loglog(sizes, times, label=f"{name}: exponent {case['exponent']:.2f}", **style)
-        right.set(xlabel="size", ylabel="time of a step [us]")
-        right.legend()
-        return save_figure(figure, folder, "benchmarks")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     known = groups(quick=False)
@@ -124,7 +103,7 @@ def main() -> None:
         put(asked.page, made)
     if asked.figure:
         asked.figure.mkdir(parents=True, exist_ok=True)
-        print(*draw(found, asked.figure), file=sys.stderr)
+        print(draw(found, asked.figure), file=sys.stderr)
 
 
 if __name__ == "__main__":
