@@ -80,7 +80,8 @@ class AnalyticPolicyGradient(BaseAlgorithm):
     Raises
     ------
     ParameterError
-        If the environment is of another kind, or the policy has no Gaussian actor-critic form.
+        If the environment is of another kind, the policy has no Gaussian actor-critic form, or an option
+        is outside its range.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
@@ -129,6 +130,8 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         )
         if plant_dtype not in ("float64", "float32"):
             raise ParameterError("plant_dtype", plant_dtype, "known: float32, float64")
+        if checkpoint < 0:
+            raise ParameterError("checkpoint", checkpoint, "is a number of control periods, or 0")
         self.window = window
         self.gamma = gamma
         self.td_lambda = td_lambda

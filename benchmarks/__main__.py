@@ -93,12 +93,12 @@ def main() -> None:
     with threadpool_limits(1):
         for name in chosen:
             found[name] = groups(asked.quick)[name]()
-    found = {name: found[name] for name in known if name in found}
+            found = {each: found[each] for each in known if each in found}
+            if asked.json:  # after each, so that one that fails does not lose the others
+                asked.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     made = tables(found)
     for name, lines in made.items():
         print(f"\n{name}\n", *lines, sep="\n")
-    if asked.json:
-        asked.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     if asked.page:
         put(asked.page, made)
     if asked.figure:

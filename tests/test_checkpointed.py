@@ -10,6 +10,7 @@ from agents.config import AnalyticOptions, TrainConfig
 from agents.models import new_model
 from agents.sb3_vec_env import ShakeTableVecEnv
 from shake_env import make_scenario
+from shake_env.errors import ParameterError
 
 torch = pytest.importorskip("torch")
 
@@ -111,3 +112,27 @@ def test_what_a_gradient_keeps_falls_with_the_segment():
 
     # Eight segments of eight: one of them whole, seven starts, and rewards.
     assert kept(8) < 0.25 * kept(0)
+
+
+@pytest.mark.parametrize("memory", [0, 8])
+def test_training_goes_the_same_way_in_segments(memory):
+    scenario = make_scenario("laboratory", {"duration": 0.2})
+
+    def learned(checkpoint):
+        chosen = AnalyticOptions(window=24, memory=memory, checkpoint=checkpoint, terminal_value=True)
+        config = TrainConfig(algorithm="analytic", analytic=chosen)
+        env = ShakeTableVecEnv(scenario, 2, base=base_law("lqg", scenario), reward_scale=0.01)
+        model = new_model(config, scenario, env)
+        assert model.checkpoint == checkpoint
+        model.learn(3 * 24 * 2)
+        return torch.nn.utils.parameters_to_vector(model.policy.parameters()).detach().numpy()
+
+    whole, parts = learned(0), learned(5)
+    # Adam divides single-precision gradients by their size: a step of 1e-3 is as uncertain as the sign
+    # of entries that are rounding alone, and all others are the same.
+    assert np.mean(np.abs(whole - parts) > 1e-6) < 0.02
+
+
+def test_a_negative_segment_is_refused():
+    with pytest.raises(ParameterError, match="checkpoint"):
+        model_on(make_scenario("linear"), checkpoint=-1)
