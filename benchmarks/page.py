@@ -53,7 +53,7 @@ def _goals(found: dict[str, Any]) -> list[str]:
     reasons = dict.fromkeys(goal.why for goal in every if not goal.met and goal.why)
     for why in reasons:
         missed = [goal.what for goal in every if not goal.met and goal.why == why]
-        lines += ["", *wrap(f"Missed: {'; '.join(missed)}. {why}", 118)]
+        lines += ["", *wrap(f"Missed: {'; '.join(missed)}. {why}", 118, break_on_hyphens=False)]
     return lines
 
 
