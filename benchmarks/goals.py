@@ -67,7 +67,16 @@ KERNEL = (
     "readings, converts them to float32, and draws ten normal numbers, none of which counts as a "
     "multiply-add."
 )
-GYMNAX = "gymnax steps the same four states once a table, as Gymnasium's CartPole does; see there."
+GYMNAX = (
+    "gymnax steps four float32 states once a table, in 0.35 us of a call for 1024; ours takes 0.44, of "
+    "which 0.1 are random numbers, 0.16 the update with its cost, limits and observations, and the rest "
+    "the ground, the reference specimen and the arrays handed out."
+)
+TEXTBOOK = (
+    "Blocks of ten take 106 multiply-adds a sample, 21 ms at the machine's peak; products of 44 rows by "
+    "24 columns reach two thirds of it, which makes 33 ms and with the squares 38. A tenth of the "
+    "textbook's time were 31."
+)
 PPO_ROLLOUT = (
     "A roll-out's other work is a pass of two networks and SB3's bookkeeping, some hundred operations "
     "of torch and numpy at a few us each: 400 us. A tenth of the whole leaves 45 us for 64 tables, 0.7 "
@@ -146,12 +155,11 @@ def _arithmetic(rates: dict[str, float]) -> Iterator[Goal]:
 def _closed_loops(found: dict[str, float]) -> Iterator[Goal]:
     for name, bound in (("textbook batch", 10.0), ("scipy dlsim", 300.0)):
         ratio = found[name] / found["blocks"]
-        why = "A faster machine for matrix products favours the textbook, whose products are as large."
         yield Goal(
             what=f"closed loops in blocks beside a {name}",
             bound=bound,
             found=ratio,
-            why=why if name == "textbook batch" else "",
+            why=TEXTBOOK if name == "textbook batch" else "",
         )
     apart = found["largest relative difference"]
     yield Goal(what="their largest difference", bound=1e-10, found=apart, at_least=False, unit="")
