@@ -146,7 +146,7 @@ RECIPES: tuple[Recipe, ...] = (
         2.0,
         _WHOLE_NOISE,
     ),
-    _recipe("linear", TrainConfig(algorithm="ppo", total_steps=7_000_000), 6.0, _LONG),
+    _recipe("linear", TrainConfig(algorithm="ppo"), 4.0),
     _recipe("linear", TrainConfig(algorithm="sac", total_steps=700_000), 12.0, _LONG),
     _recipe("linear", TrainConfig(algorithm="td3"), 4.0),
     _recipe("linear", TrainConfig(algorithm="tqc", total_steps=500_000), 12.0, _LONG),
