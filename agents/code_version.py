@@ -6,15 +6,31 @@ import subprocess
 from functools import lru_cache
 from pathlib import Path
 
+PACKAGES = ("shake_env", "baselines", "agents")
+
 
 @lru_cache(maxsize=1)
 def code_version() -> str | None:
-    """Return ``git describe`` of the code that runs, or None where it is no git checkout."""
-    command = ["git", "describe", "--always", "--dirty", "--tags"]
+    """Return ``git describe`` of the code that runs, or None where it is no git checkout.
+
+    "-dirty" follows where the packages differ from that commit; results that were written since do not
+    count.
+    """
     try:
-        told = subprocess.run(
-            command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True, timeout=10
-        )
+        commit = _git("describe", "--always", "--tags")
+        changed = _git("status", "--porcelain", "--", *PACKAGES)
     except (OSError, subprocess.SubprocessError):
         return None
-    return told.stdout.strip() or None
+    return f"{commit}-dirty" if commit and changed else commit or None
+
+
+def _git(*arguments: str) -> str:
+    told = subprocess.run(
+        ["git", *arguments],
+        cwd=Path(__file__).parents[1],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=10,
+    )
+    return told.stdout.strip()
