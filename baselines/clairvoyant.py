@@ -144,9 +144,11 @@ def clairvoyant(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[
     plants = true_plants(seen, earthquakes)
     parts = scenario.nonlinearity
     if parts.friction.active or parts.valve.flow_active:
+        # Without the ground's high-pass there is no place that a table could be held in.
+        position = FRICTION_POSITION if seen.ground.states == 4 else None
         if not seen.uncertainty.active:
-            return seen, FeedforwardLQR(seen, position=FRICTION_POSITION)
-        laws = [FeedforwardLQR(plant, position=FRICTION_POSITION) for plant in plants]
+            return seen, FeedforwardLQR(seen, position=position)
+        laws = [FeedforwardLQR(plant, position=position) for plant in plants]
         scales = np.stack([rescaling(seen, plant) for plant in plants])
         return seen, PerLane([Rescaled(law, row) for law, row in zip(laws, scales, strict=True)])
     rows: dict[Any, NDArray[np.float64]] = {}

@@ -56,3 +56,15 @@ def test_one_controller_a_lane():
     assert mixed[0].cost == pytest.approx(alone[0].cost) and mixed[1].cost == idle[1].cost
     with pytest.raises(ParameterError, match="2 lanes"):
         PerLane([lqr(scenario), NoControl()]).predict(np.zeros((3, 14), dtype=np.float32))
+
+
+def test_friction_on_a_table_that_minds_no_place():
+    """It knows the friction, the target and the state: far below the LQR that sees the last alone."""
+    scenario = make_scenario(
+        "linear", {"duration": 4.0, "fields": {"nonlinearity.friction.coulomb": 300.0}}
+    )
+    quakes = noise_earthquakes(scenario, 4, seed=3)
+    seen, controller = clairvoyant(scenario, quakes)
+    knowing, _ = rollout(controller, seen, quakes)
+    unaware, _ = rollout(lqr(scenario), scenario, quakes)
+    assert sum(row.cost for row in knowing) < 0.6 * sum(row.cost for row in unaware)
