@@ -1,4 +1,7 @@
-"""The torch path of a step on a device, beside what the device's memory can move in the same run."""
+"""The torch path of a step on a device, beside what the device's memory can move in the same run.
+
+And what an update of learning takes there and on the CPU: a gradient through the plant, and PPO's.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from agents.base_law import base_law
+from agents.config import AnalyticOptions, TrainConfig
+from agents.models import new_model
+from agents.options import ScenarioOptions
+from agents.sb3_vec_env import ShakeTableVecEnv
 from agents.torch_plant import torch_model
 from shake_env import make_scenario
 from shake_env.excitation import GroundPeriod
@@ -50,7 +58,45 @@ def device(spell: float, spells: int) -> dict[str, Any]:
         rates = {str(2**power): 2**power / times[f"{name} {2**power}"] for power in POWERS[kind]}
         bytes_each = moved[f"{name} {2 ** POWERS[kind][-1]}"]
         found[name] = {"rates": rates, "bytes": bytes_each, "limit": bandwidth / bytes_each}
-    return found
+    kinds = ("cpu", "cuda") if kind == "cuda" else ("cpu",)
+    updates = {way: {each: update(way, each) for each in kinds} for way in ("gradient", "PPO")}
+    return found | {"updates": updates}
+
+
+def update(way: str, kind: str) -> float:
+    """Return the wall seconds of one update on ``"cpu"`` or ``"cuda"``, median of three.
+
+    ``"gradient"``: a window of 96 periods of 1024 laboratory tables, there and back, plant and law in
+    single precision. ``"PPO"``: a roll-out of 128 periods of 64 linear tables, which numpy steps, and
+    ten passes over it.
+    """
+    gradient = way == "gradient"
+    config = TrainConfig(
+        algorithm="analytic" if gradient else "ppo",
+        scenario=ScenarioOptions(scenario="laboratory" if gradient else "linear"),
+        analytic=AnalyticOptions(
+            base="lqg-accommodating", tables=1024, authority=0.3, precision="float32", device=kind
+        ),
+    )
+    scenario, chosen = config.scenario.build(), config.chosen
+    env = ShakeTableVecEnv(
+        scenario,
+        chosen.tables,
+        base=base_law(chosen.base, scenario),
+        authority=chosen.authority,
+        reward_scale=0.01,
+    )
+    model = new_model(config, scenario, env)
+    if not gradient:
+        model.device = torch.device(kind)  # recipes keep PPO's small networks on the CPU
+        model._setup_model()
+    periods = 96 if gradient else config.ppo.rollout_steps
+    taken = []
+    for number in range(4):  # the first one sets up, and compiles
+        begin = time.perf_counter()
+        model.learn(periods * chosen.tables, reset_num_timesteps=number == 0, log_interval=None)
+        taken.append(time.perf_counter() - begin)
+    return statistics.median(taken[1:])
 
 
 def _step(name: str, options: dict[str, Any], tables: int, kind: str) -> tuple[Any, int]:

@@ -144,7 +144,7 @@ def _learning(found: dict[str, Any]) -> list[str]:
 
 
 def _device(found: dict[str, Any]) -> list[str]:
-    names = [name for name, each in found.items() if isinstance(each, dict)]
+    names = [name for name, each in found.items() if isinstance(each, dict) and name != "updates"]
     sizes = list(found[names[0]]["rates"])
     rows = [
         (
@@ -157,7 +157,12 @@ def _device(found: dict[str, Any]) -> list[str]:
     ]
     head = ("table-steps/s, float32", *(f"{size} tables" for size in sizes), "a step moves", "limit")
     told = f"Device: {found['device']}; a copy moves {found['bandwidth [B/s]'] / 1e9:.1f} GB/s."
-    return [*table(head, rows), "", told]
+    lines = [*table(head, rows), "", told]
+    if "updates" in found:
+        kinds = list(found["updates"]["gradient"])
+        rows = [(way, *(f"{s:.2f}" for s in each.values())) for way, each in found["updates"].items()]
+        lines += ["", *table(("an update, wall time [s]", *kinds), rows)]
+    return lines
 
 
 def _footprint(found: dict[str, Any]) -> list[str]:
