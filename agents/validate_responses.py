@@ -164,9 +164,9 @@ def smooth_target(scenario: Scenario, quake: Earthquake, samples: int) -> FloatA
         state = excitation.advance().ground[0]
         plain = ground.highpass_frequency is None
         velocity[j + 1] = 2.0 * ground.damping_ratio * ground.omega * state[0] if plain else state[3]
-    slope: FloatArray = CubicSpline(step * np.arange(samples + 1), velocity)(
-        step * np.arange(samples + 1), 1
-    )
+    time = step * np.arange(samples + 1)
+    # From rest: the ground filter's state is zero at time 0, and its acceleration with it.
+    slope: FloatArray = CubicSpline(time, velocity, bc_type=("clamped", "not-a-knot"))(time, 1)
     return slope
 
 

@@ -72,7 +72,7 @@ class Scenario:
     control_rate: float = 200.0  # [Hz]
     # Of the directions of a step's noise, two lose 1e-9 of any mean square at 1 ms
     # (`DiscretePlant.noise`); None draws all above rounding, which takes twice as many.
-    noise_directions: int | None = 2  # random numbers a physics step
+    noise_directions: int | None = 2  # [-] random numbers a physics step
     # The linear plant has no current limit; the action needs a unit. Five times the rated current is
     # over five times LQR's rms at 200 Hz, so that clipping to [-1, 1] leaves the linear optimum alone.
     current_limit: float = 5.0 * REFERENCE_CURRENT  # [A] current of action 1
