@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -163,7 +163,7 @@ def make_report(
         frontier=lqr_frontier(scenario) if found.group == "filtered noise" else [],
         drawn=Drawn.of(scenario, gathered.earthquakes),
         learning={name: curve for name, curve in learning.items() if len(curve) > 1},
-        policies=_policies(comparison.episodes),
+        policies=policy_files_of(comparison.episodes, scenario.name),
         command=command,
         unlike=unlike,
     )
@@ -225,10 +225,11 @@ def unique_labels(names: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def _policies(episodes: dict[str, Any]) -> dict[str, PolicyFile]:
+def policy_files_of(episodes: Iterable[str], scenario_name: str) -> dict[str, PolicyFile]:
+    """Return the policies among the controllers' names, those that ship as the scenario has them."""
     found = {}
     for name in episodes:
-        path = shipped_policy(name) if name in SHIPPED else Path(name)
+        path = shipped_policy(name, scenario_name) if name in SHIPPED else Path(name)
         file = path / "policy.safetensors" if path.is_dir() else path
         if name not in SHIPPED and file.suffix != ".safetensors":
             continue

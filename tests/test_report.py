@@ -11,7 +11,14 @@ import pytest
 from agents.__main__ import main
 from agents.compare import Comparison, compare, summarise
 from agents.fidelity import Fidelity
-from agents.report import Gathered, channels, make_report, unique_labels, write_report
+from agents.report import (
+    Gathered,
+    channels,
+    make_report,
+    policy_files_of,
+    unique_labels,
+    write_report,
+)
 from agents.report_data import page_data
 from agents.report_estimates import Drawn, TransferEstimate, learning_curve, lqr_frontier
 from agents.report_page import page, unbroken
@@ -392,3 +399,9 @@ def test_the_command_writes_the_report_it_names(tmp_path, capsys):
     plots = {each["id"] for each in Checked(text).all("div") if each.get("class") == "plot"}
     assert plots == {"trade-off", "traces", "spectrum", "ratio"}
     assert not (folder / "transfer.png").exists()
+
+
+def test_a_shipped_policy_is_the_scenarios_own():
+    found = policy_files_of(["lqg", "analytic"], "laboratory")
+    assert list(found) == ["analytic"]
+    assert found["analytic"].card["config"]["scenario"]["scenario"] == "laboratory"
