@@ -94,7 +94,7 @@ class RecurrentPPOOptions:
     units: int = 64
     """Width of the memory; actor and critic have one each."""
     base: BaseLaw = "none"
-    """Law that the policy corrects: none; on the full state flow or lqr; free (see the analytic gradient's)."""
+    """Law that the policy corrects: none, flow, lqr, or one behind an estimator (see the analytic's)."""
     authority: float = 1.0
     """What the policy can add to that law, as a fraction of the current limit."""
     initial_log_std: float = -3.0
