@@ -40,6 +40,8 @@ FLOW, FORCE, RATE, SLIPS, COLUMNS, FRICTION, STATIC, SPOOL_VELOCITY, STORIES = r
 # fastmath stays off and nothing is contracted: a lane's sums are the same in a vector register as alone,
 # so that no result depends on the batch.
 jit = njit(error_model="numpy", nogil=True)
+# Part of its caller, which may know the number of lanes: loops over one lane then fall away.
+inlined = njit(error_model="numpy", nogil=True, forceinline=True)
 SOURCES = (
     "block_kernel", "compiled", "adjoint_kernel", "adjoint", "fused", "ground_kernel", "packing",
     "limits", "plant",
@@ -321,7 +323,7 @@ def _add_two_rows(matrix: FloatArray, x: FloatArray, y: FloatArray, i: int, quad
             below[n] = below[n] + e * x[j, n]
 
 
-@jit
+@inlined
 def follow(
     x: FloatArray,
     y: FloatArray,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from shake_env import packing as at
 from shake_env.block_kernel import BLOCK, scalars, switches
 from shake_env.dynamics import PeriodResponse, TableDynamics
-from shake_env.fused import period
+from shake_env.fused import period_of
 from shake_env.measurement import SensorMemory
 from shake_env.nonlinearity import Nonlinearity
 from shake_env.objective import CostTerms
@@ -24,7 +24,7 @@ BoolArray = NDArray[np.bool_]
 
 
 class FusedTables:
-    """State, sensors' memory and counters of N tables, stepped by :func:`shake_env.fused.period`.
+    """State, sensors' memory and counters of N tables, stepped by `shake_env.fused.period_of`.
 
     Parameters
     ----------
@@ -67,9 +67,12 @@ class FusedTables:
         self.own[0] = 1.0
         self.lanes, self._size, self._rows = lanes, layout.size, int(self._p[at.ROWS])
         self.block = np.zeros((self._rows, lanes))
-        # Of a table that is stepped alone, and whose block nobody is given.
-        self._pair = np.zeros((2, self._rows, lanes))
-        self._first, self._second = self._pair
+        self._period = period_of(1 if lanes == 1 else 2)
+        # Of a table that is stepped alone, and whose block nobody is given: two in turn, with what is
+        # reported of each.
+        pair = np.zeros((2, self._rows, lanes))
+        self._pair = [(block, block[: at.STATE, 0]) for block in pair]
+        self._turn = 0
         self._ends = np.zeros((2, lanes), dtype=np.bool_)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -83,7 +86,7 @@ class FusedTables:
         block = np.empty((self._rows, self.lanes))
         seen = np.empty(self.lanes * self._size, np.float32)
         ends = np.empty((2, self.lanes), np.bool_)
-        period(self.block, block, seen, ends, ground, noise, self._v, self._p, row, sample)
+        self._period(self.block, block, seen, ends, ground, noise, self._v, self._p, row, sample)
         self.block = block
         return seen.reshape(self.lanes, self._size), block, ends
 
@@ -91,13 +94,14 @@ class FusedTables:
         self, ground: FloatArray, noise: FloatArray, row: int, sample: int
     ) -> tuple[NDArray[np.float32], list[float], int]:
         """Advance the one table; return its observation (n,), the report's rows and which ends."""
-        block = self._second if self.block is self._first else self._first
+        self._turn = turn = 1 - self._turn
+        block, report = self._pair[turn]
         seen = np.empty(self._size, np.float32)
-        happened = period(
+        happened = self._period(
             self.block, block, seen, self._ends, ground, noise, self._v, self._p, row, sample
         )
         self.block = block
-        return seen, block[: at.STATE, 0].tolist(), happened
+        return seen, report.tolist(), happened
 
     def redrawn(self, lanes: Sequence[int]) -> None:
         """Take the plants of some lanes from the model's stacks, which have changed."""

@@ -7,6 +7,7 @@ every line of arithmetic runs over the lanes of a block. Imported on first use, 
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,17 @@ from numba import boolean, float32, float64, int64, njit
 from numpy.typing import NDArray
 
 from shake_env import packing as at
-from shake_env.block_kernel import BLOCK, COLUMNS, IntArray, add_product, fill, follow, jit, stamp, view
+from shake_env.block_kernel import (
+    BLOCK,
+    COLUMNS,
+    IntArray,
+    add_product,
+    fill,
+    follow,
+    inlined,
+    stamp,
+    view,
+)
 from shake_env.limits import OBSERVATION_BOUND
 from shake_env.parameters import FloatArray
 from shake_env.plant import LOAD_PRESSURE, TABLE_DISPLACEMENT, TABLE_VELOCITY
@@ -22,7 +33,7 @@ from shake_env.plant import LOAD_PRESSURE, TABLE_DISPLACEMENT, TABLE_VELOCITY
 EXACT = 1.5 * 2.0**52  # adding and taking it off rounds to a whole number, half to even
 
 
-@jit
+@inlined
 def _matrix(v: FloatArray, p: IntArray, block: int, place: int, columns: int, rows: int) -> FloatArray:
     """Return a matrix of a block of tables, (columns, rows, 1 or lanes)."""
     depth = p[at.DEPTH]
@@ -31,7 +42,7 @@ def _matrix(v: FloatArray, p: IntArray, block: int, place: int, columns: int, ro
     return matrix
 
 
-@jit
+@inlined
 def _move(
     before: FloatArray,
     after: FloatArray,
@@ -121,7 +132,7 @@ def _move(
             after[p[at.RESPONSE] + i, first + n] = response[i, n]
 
 
-@jit
+@inlined
 def _price(
     after: FloatArray, ground: FloatArray, weights: FloatArray, p: IntArray, first: int, w: int
 ) -> None:
@@ -145,7 +156,7 @@ def _price(
         after[at.CURRENT_COST, first + n] = weights[0, 2, n if own else 0] * square
 
 
-@jit
+@inlined
 def _judge(
     after: FloatArray, size: FloatArray, number: int, soft: bool, v: FloatArray, first: int, w: int
 ) -> None:
@@ -167,7 +178,7 @@ def _judge(
             cost[first + n] += v[at.SOFT_WEIGHT] * (beyond * beyond)
 
 
-@jit
+@inlined
 def _largest(rows: FloatArray, size: FloatArray, first: int, w: int) -> None:
     """Write the largest absolute value of each lane's rows, NaN if there is one."""
     for n in range(w):
@@ -178,7 +189,7 @@ def _largest(rows: FloatArray, size: FloatArray, first: int, w: int) -> None:
             size[n] = size[n] if value <= size[n] else value
 
 
-@jit
+@inlined
 def _check(after: FloatArray, v: FloatArray, p: IntArray, size: FloatArray, first: int, w: int) -> None:
     """Write which limit broke and what soft limits cost; see `Limits.broken` and `soft_cost`."""
     code, cost = after[at.BROKEN], after[at.SOFT_COST]
@@ -205,7 +216,7 @@ def _check(after: FloatArray, v: FloatArray, p: IntArray, size: FloatArray, firs
         _judge(after, size, 7, True, v, first, w)
 
 
-@jit
+@inlined
 def _close(
     after: FloatArray,
     ends: FloatArray,
@@ -234,7 +245,7 @@ def _close(
     return happened
 
 
-@jit
+@inlined
 def _read(
     before: FloatArray,
     after: FloatArray,
@@ -270,7 +281,7 @@ def _read(
             shown[i, n] = (reading + rounded * (whole * resolution - reading)) / scale
 
 
-@jit
+@inlined
 def _put(
     seen: NDArray[np.float32],
     column: int,
@@ -294,7 +305,7 @@ def _put(
     return column + len(rows)
 
 
-@jit
+@inlined
 def _show(
     seen: NDArray[np.float32],
     before: FloatArray,
@@ -328,7 +339,7 @@ def _show(
     _put(seen, column, before[p[at.PAST] : p[at.PAST] + p[at.HISTORY]], one, first, first, w)
 
 
-@jit
+@inlined
 def _remember(
     before: FloatArray, after: FloatArray, shown: FloatArray, p: IntArray, first: int, w: int
 ) -> None:
@@ -348,7 +359,7 @@ def _remember(
             after[past + i, first + n] = before[past + i - entry, first + n]
 
 
-@jit
+@inlined
 def _period(
     before: FloatArray,
     after: FloatArray,
@@ -360,6 +371,7 @@ def _period(
     p: IntArray,
     cursor: int,
     sample: int,
+    lanes: int,
 ) -> int:
     """Advance N tables by one control period.
 
@@ -375,13 +387,14 @@ def _period(
         (N, rows, s) of the readings, of which `sample` is the row of this period, SI.
     v, p
         Everything else; see `packing.Packed`.
+    lanes
+        N, which is compiled in where the caller gives a literal.
 
     Returns
     -------
     Bits of TERMINATED and TRUNCATED, where any table's episode ended so.
     """
-    lanes, happened = before.shape[1], 0
-    width = min(BLOCK, lanes)
+    happened, width = 0, min(BLOCK, lanes)
     seen = view(observation, 0, (lanes, len(observation) // lanes))
     action = view(v, p[at.GIVEN], (lanes,))
     own = view(v, p[at.OWN], (1 + p[at.READINGS], lanes))
@@ -426,8 +439,8 @@ def _period(
     return happened
 
 
-def _kept(number: int) -> Any:
-    """Return `period` as numba keeps it on disk, for sources of this `stamp`."""
+def _kept(number: int, alone: bool) -> Any:
+    """Return `period` as numba keeps it on disk, for sources of this `stamp`; of one table `alone`."""
 
     @njit(
         int64(
@@ -450,10 +463,18 @@ def _kept(number: int) -> Any:
         cursor: int,
         sample: int,
     ) -> int:
-        happened = _period(before, after, observation, ends, ground, noise, v, p, cursor, sample)
+        lanes = 1 if alone else before.shape[1]
+        happened = _period(before, after, observation, ends, ground, noise, v, p, cursor, sample, lanes)
         return happened if number else 0
 
     return kept
 
 
-period = _kept(stamp())
+@lru_cache(maxsize=2)
+def period_of(lanes: int) -> Any:
+    """Return what advances so many tables: see `_period`, without its last argument.
+
+    One table alone has a function of its own, whose loops over lanes the compiler has taken out. Each is
+    compiled when it is first asked for.
+    """
+    return _kept(stamp(), lanes == 1)
