@@ -34,6 +34,23 @@ def test_respond_is_dlsim(block):
         )
 
 
+def test_states_that_reach_no_output_are_left_out():
+    # Of a chain 3 -> 2 -> 1 -> output, with an integrator that all of them feed and that feeds nothing.
+    felt = system(n=4)
+    A = np.diag([0.9, 0.8, 0.7, 1.0]) + np.diag([0.5, 0.5, 0.0], k=1)
+    A[3, :3] = 1.0
+    C = np.array([[1.0, 0.0, 0.0, 0.0]] * 3)
+    model = DiscreteStateSpace(A, felt.B, C, felt.D, felt.dt)
+    rng = np.random.default_rng(2)
+    inputs, initial = rng.normal(size=(50, 2, 1)), rng.normal(size=(4, 1))
+    _, expected, _ = dlsim(
+        (model.A, model.B, model.C, model.D, model.dt), inputs[..., 0], x0=initial[:, 0]
+    )
+    np.testing.assert_allclose(respond(model, inputs, initial)[..., 0], expected, rtol=0, atol=1e-13)
+    moved = initial + np.array([[0.0], [0.0], [0.0], [1.0]])
+    np.testing.assert_array_equal(respond(model, inputs, moved), respond(model, inputs, initial))
+
+
 def test_at_rest_by_default_and_shapes_are_checked():
     model, inputs = system(), np.zeros((5, 2, 3))
     assert not respond(model, inputs).any()
