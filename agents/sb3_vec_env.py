@@ -61,6 +61,7 @@ class ShakeTableVecEnv(VecEnv):
             self.base = np.eye(1, size := scenario.observation.size + base.shown, size - 1)[0]
         else:
             self.base = np.zeros(scenario.observation.size) if base is None else base
+        self._corrects = bool(np.any(self.base))
         self.authority = authority
         self.reward_scale = reward_scale
         self.simulation = Simulation(scenario, num_envs)
@@ -90,7 +91,9 @@ class ShakeTableVecEnv(VecEnv):
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Take the actions (N, 1) of the next period."""
         correction = checked_action(actions, (self.num_envs, 1))[:, 0]
-        self._action = self._shown @ self.base + self.authority * correction
+        self._action = self.authority * correction
+        if self._corrects:
+            self._action += self._shown @ self.base
         if self.law is not None:
             self.law_memory = self.law.keep(self._known, np.clip(self._action, -1.0, 1.0))
 
