@@ -113,6 +113,7 @@ _EARLY = ("limits.soft_share=0.7", "limits.soft_weight=0.02")
 _STROKE = {"episode": 15.0, "artificial": 24, "evaluation_earthquakes": 64}
 _SOFT = ("limits.soft_share=0.8", "limits.soft_weight=0.05")
 _WHOLE_NOISE = "the length of the test's earthquakes: a table that minds no place walks further in them"
+_LESS_NOISE = "four times the roll-out: what is left above the optimum is the noise of its gradients"
 _LONG = "as many steps as a quarter of an hour has"
 _BIASES = "biases, for friction and limits do not scale with the motion"
 
@@ -139,14 +140,24 @@ def _corrected(authority: float = 0.1) -> PPOOptions:
     return PPOOptions(base="free", authority=authority, scale_free=False)
 
 
+def _many_tables(scale_free: bool = True) -> PPOOptions:
+    """Return PPO's options for a quarter of an hour: larger roll-outs, each read fewer times."""
+    return PPOOptions(tables=256, batch_size=8192, epochs=6, scale_free=scale_free)
+
+
 RECIPES: tuple[Recipe, ...] = (
     _recipe(
         "linear",
-        TrainConfig(algorithm="analytic", episode=20.0),
-        2.0,
+        TrainConfig(algorithm="analytic", episode=20.0, total_steps=18_432_000),
+        3.0,
         _WHOLE_NOISE,
     ),
-    _recipe("linear", TrainConfig(algorithm="ppo"), 4.0),
+    _recipe(
+        "linear",
+        TrainConfig(ppo=_many_tables(), horizon=0.3, total_steps=24_000_000),
+        7.0,
+        _LESS_NOISE,
+    ),
     _recipe("linear", TrainConfig(algorithm="sac", total_steps=700_000), 12.0, _LONG),
     _recipe("linear", TrainConfig(algorithm="td3"), 4.0),
     _recipe("linear", TrainConfig(algorithm="tqc", total_steps=500_000), 12.0, _LONG),
@@ -157,7 +168,12 @@ RECIPES: tuple[Recipe, ...] = (
         6.0,
         _BIASES,
     ),
-    _recipe("friction", TrainConfig(ppo=PPOOptions(scale_free=False)), 4.0, _BIASES),
+    _recipe(
+        "friction",
+        TrainConfig(ppo=_many_tables(scale_free=False), horizon=0.3, total_steps=24_000_000),
+        7.0,
+        f"{_BIASES}; {_LESS_NOISE}",
+    ),
     _recipe(
         "laboratory",
         TrainConfig(
