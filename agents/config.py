@@ -8,113 +8,17 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from agents.algorithm_options import RecurrentPPOOptions, TD3Options, TQCOptions
-from agents.base_law import BaseLaw
+from agents.algorithm_options import (
+    AnalyticOptions,
+    PPOOptions,
+    RecurrentPPOOptions,
+    SACOptions,
+    TD3Options,
+    TQCOptions,
+)
 from agents.options import ScenarioOptions
 from shake_env.errors import ParameterError, RunDirectoryError
 from shake_env.parameters import require_non_negative, require_positive
-
-
-@dataclass(frozen=True, kw_only=True)
-class PPOOptions:
-    """Proximal policy optimisation (Schulman et al., 2017) as SB3 implements it."""
-
-    tables: int = 64
-    """Tables stepped side by side."""
-    rollout_steps: int = 128
-    """Control periods a table runs between two updates."""
-    batch_size: int = 2048
-    """Samples of one gradient step."""
-    epochs: int = 10
-    """Passes over the data of one roll-out."""
-    learning_rate: float = 3e-4
-    """Initial learning rate; it falls linearly to zero."""
-    gae_lambda: float = 0.9
-    """Lambda of the advantage estimate [-]."""
-    clip_range: float = 0.2
-    """Clip range of the probability ratio [-]."""
-    scale_free: bool = True
-    """Whether the actor has no biases, so that half the motion gets half the current. Right for a linear
-    plant; friction and limits need biases."""
-    base: BaseLaw = "none"
-    """Linear law that the policy corrects: none (from scratch), flow (the current that the table's own
-    velocity uses), lqr (residual on top of LQR)."""
-    authority: float = 1.0
-    """What the policy can add to that law, as a fraction of the current limit."""
-    initial_log_std: float = -3.0
-    """Log of the initial exploration, relative to the current limit. White action noise is expensive
-    (2 % of LQR's current adds 10 % to its cost), but the update's trust region moves the policy by a
-    share of it, so that too little of it learns slowly."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SACOptions:
-    """Soft actor-critic (Haarnoja et al., 2018) as SB3 implements it."""
-
-    tables: int = 64
-    """Tables stepped side by side."""
-    batch_size: int = 256
-    """Samples of one gradient step."""
-    gradient_steps: int = 16
-    """Gradient steps for each control period of all the tables."""
-    learning_rate: float = 3e-4
-    """Initial learning rate; it falls linearly to zero."""
-    buffer_size: int = 400_000
-    """Transitions remembered."""
-    warmup_steps: int = 20_000
-    """Control periods that the untrained policy runs before the first gradient step."""
-    tau: float = 0.005
-    """Rate at which target networks follow [-]."""
-    base: BaseLaw = "flow"
-    """Linear law that the policy corrects: none, flow (the current that the table's own velocity uses)
-    or lqr. From nothing, the critic cannot tell good currents from bad before the tables are lost."""
-    authority: float = 0.2
-    """What the policy can add to that law, as a fraction of the current limit."""
-    target_entropy: float = -2.0
-    """Entropy that exploration settles at [nats], relative to the authority."""
-    initial_log_std: float = -1.5
-    """Log of the initial exploration, relative to the authority."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class AnalyticOptions:
-    """Analytic policy gradient: back-propagation through the plant (see `analytic_gradient`)."""
-
-    tables: int = 128
-    """Tables followed side by side."""
-    window: int = 96
-    """Control periods that a gradient looks back through. What they leave out is the specimen's ringing:
-    a shorter window costs base shear first."""
-    learning_rate: float = 1e-3
-    """Highest learning rate; it rises over the warm-up and then falls linearly to zero."""
-    warmup: float = 0.05
-    """Share of the run over which the learning rate rises. The first gradients all point one way, and at
-    full rate may carry the loop's gain past what is stable."""
-    max_grad_norm: float = 20.0
-    """Bound on the gradient's norm, in stage costs (at unit amplitude) per unit of weight: of the size
-    of what is usual, so that a window in which a loop rang counts no more than others."""
-    terminal_value: bool = False
-    """Whether a learned value stands at the window's end (SHAC). A window outlasts most of what a table
-    remembers, and a critic's slope is less certain than its value: for short windows."""
-    td_lambda: float = 0.95
-    """Lambda of the critic's targets [-], with a terminal value."""
-    memory: int = 0
-    """Width of the policy's gated recurrent unit; 0: a policy without memory."""
-    checkpoint: int = 0
-    """Control periods of a segment that is run again when the gradient is taken instead of being kept,
-    for windows too long to be kept whole; 0: none is. Memory is least near the window's square root."""
-    scale_free: bool = True
-    """Whether the actor has no biases (see PPO's); without effect on a policy with memory."""
-    base: BaseLaw = "none"
-    """Law that the policy corrects: none; on the full state flow, lqr or preview-lqr; lqg or
-    lqg-accommodating, whose estimate the policy is then shown as well."""
-    authority: float = 1.0
-    """What the policy can add to that law, as a fraction of the current limit."""
-    precision: Literal["float64", "float32"] = "float64"
-    """Precision of the plant's state."""
-    device: str = "cpu"
-    """Torch device. On a CPU a gradient takes tens of milliseconds."""
-
 
 Options = PPOOptions | SACOptions | TD3Options | TQCOptions | RecurrentPPOOptions | AnalyticOptions
 

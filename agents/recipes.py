@@ -9,8 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from agents.algorithm_options import RecurrentPPOOptions, TD3Options, TQCOptions
-from agents.config import AnalyticOptions, PPOOptions, SACOptions, TrainConfig
+from agents.algorithm_options import (
+    AnalyticOptions,
+    PPOOptions,
+    RecurrentPPOOptions,
+    SACOptions,
+    TD3Options,
+    TQCOptions,
+)
+from agents.config import TrainConfig
 from agents.options import ScenarioOptions
 from shake_env.errors import ParameterError
 

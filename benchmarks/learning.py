@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from agents.algorithm_options import AnalyticOptions, PPOOptions
 from agents.base_law import base_law
-from agents.config import AnalyticOptions, PPOOptions, TrainConfig
+from agents.config import TrainConfig
 from agents.models import new_model
 from agents.options import ScenarioOptions
 from agents.sb3_vec_env import ShakeTableVecEnv

@@ -10,9 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
 
-from agents.algorithm_options import RecurrentPPOOptions, TD3Options, TQCOptions
+from agents.algorithm_options import (
+    AnalyticOptions,
+    PPOOptions,
+    RecurrentPPOOptions,
+    SACOptions,
+    TD3Options,
+    TQCOptions,
+)
 from agents.base_law import base_row
-from agents.config import AnalyticOptions, PPOOptions, SACOptions, TrainConfig
+from agents.config import TrainConfig
 from agents.export import export_policy
 from agents.features import feature_matrix
 from agents.long_short_term import LSTMPolicy

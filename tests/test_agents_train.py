@@ -9,9 +9,16 @@ import time
 import numpy as np
 import pytest
 
-from agents.algorithm_options import RecurrentPPOOptions, TD3Options, TQCOptions
+from agents.algorithm_options import (
+    AnalyticOptions,
+    PPOOptions,
+    RecurrentPPOOptions,
+    SACOptions,
+    TD3Options,
+    TQCOptions,
+)
 from agents.checkpoint import checkpoints
-from agents.config import AnalyticOptions, PPOOptions, SACOptions, TrainConfig, read_config
+from agents.config import TrainConfig, read_config
 from agents.options import ScenarioOptions
 from agents.policy_file import load_policy
 from agents.train import resume, train

@@ -7,9 +7,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 
+from agents.algorithm_options import AnalyticOptions
 from agents.analytic_gradient import AnalyticPolicyGradient
 from agents.base_law import base_row
-from agents.config import AnalyticOptions, TrainConfig
+from agents.config import TrainConfig
 from agents.features import LinearFeatures, feature_matrix, feature_sizes
 from agents.models import DirectPolicy, new_model
 from agents.recurrent import GRUPolicy

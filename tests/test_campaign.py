@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from agents.__main__ import main
+from agents.algorithm_options import PPOOptions
 from agents.base_law import base_law
 from agents.campaign import Campaign, plan, plan_rows
 from agents.campaign_results import evaluate_arena
 from agents.checkpoint import checkpoints
-from agents.config import PPOOptions, TrainConfig
+from agents.config import TrainConfig
 from agents.estimated_law import EstimatedLaw
 from agents.evaluate import contestant
 from agents.models import ALGORITHMS

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from test_analytic_gradient import model_on
 
+from agents.algorithm_options import AnalyticOptions
 from agents.base_law import base_law
 from agents.checkpointed import checkpointed
-from agents.config import AnalyticOptions, TrainConfig
+from agents.config import TrainConfig
 from agents.models import new_model
 from agents.sb3_vec_env import ShakeTableVecEnv
 from shake_env import make_scenario

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from agents.algorithm_options import AnalyticOptions, PPOOptions
 from agents.analytic_gradient import AnalyticPolicyGradient
 from agents.base_law import base_law
-from agents.config import AnalyticOptions, PPOOptions, TrainConfig
+from agents.config import TrainConfig
 from agents.estimated_law import EstimatedLaw
 from agents.export import export_policy
 from agents.free_design import FREE, found_by_search

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from agents import recipes
 from agents.__main__ import main
+from agents.algorithm_options import PPOOptions, SACOptions
 from agents.bench import TEST_SEED
-from agents.config import PPOOptions, SACOptions, TrainConfig, config_of
+from agents.config import TrainConfig, config_of
 from agents.progress import Progress
 from agents.recipe_figure import search_figure
 from agents.recipe_search import (

@@ -8,7 +8,8 @@ import pytest
 from rich.console import Console
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from agents.config import AnalyticOptions, PPOOptions, SACOptions, TrainConfig
+from agents.algorithm_options import AnalyticOptions, PPOOptions, SACOptions
+from agents.config import TrainConfig
 from agents.options import ScenarioOptions
 from agents.progress import Progress
 from agents.train import train
