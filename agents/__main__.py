@@ -49,9 +49,9 @@ class Compare:
     """
 
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
-    controllers: tuple[str, ...] = ("lqr", "none", "policy", "analytic")
-    """Names of classical controllers, all (every one that suits the scenario), policy and
-    analytic (those that ship), or paths of policy files and run directories."""
+    controllers: tuple[str, ...] = ("lqr", "none", "policy", "analytic", "off-policy")
+    """Names of classical controllers, all (every one that suits the scenario), policy, analytic
+    and off-policy (those that ship), or paths of policy files and run directories."""
     noise: int = 32
     """Number of filtered-noise earthquakes."""
     records: bool = True

@@ -122,9 +122,9 @@ def named_controllers(
     ----------
     names
         Names of `baselines.catalogue`, ``all`` for every one of them that suits the scenario and what an
-        independent search has found for it, ``policy`` and ``analytic`` (those that ship),
-        ``clairvoyant``, ``free`` or ``free-force`` (`agents.free_design`), or paths of policy files and
-        run directories. The reference, which costs are relative to, is always among them.
+        independent search has found for it, ``policy``, ``analytic`` and ``off-policy`` (those that
+        ship), ``clairvoyant``, ``free`` or ``free-force`` (`agents.free_design`), or paths of policy
+        files and run directories. The reference, which costs are relative to, is always among them.
     scenario
         What they drive. What ``all`` or ``policy`` stand for is left out where it does not suit; what is
         named raises.

@@ -23,7 +23,7 @@ class Export:
     """
 
     policy: tyro.conf.Positional[str]
-    """Run directory, policy file, or the name of a policy that ships (policy, analytic)."""
+    """Run directory, policy file, or the name of a policy that ships (policy, analytic, off-policy)."""
     output: tyro.conf.Positional[Path]
     """File to write, *.onnx."""
     json: bool = False

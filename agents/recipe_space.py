@@ -154,6 +154,8 @@ def own_values(recipe: Recipe) -> dict[str, Value]:
     if not found.get("memory", 1):
         del found["memory"]  # a policy without one is another kind of policy
     found["base"] = chosen.base
+    if chosen.base == "none":
+        del found["authority"]  # of the whole current: less than all of it only takes from the policy
     return found
 
 

@@ -5,7 +5,12 @@ from __future__ import annotations
 from importlib import resources
 from pathlib import Path
 
-SHIPPED = {"policy": "ppo", "analytic": "analytic"}  # name for the commands, and algorithm of its files
+# Families by their names for the commands, and the algorithms of their files: one of each a scenario.
+SHIPPED: dict[str, tuple[str, ...]] = {
+    "policy": ("ppo", "recurrent-ppo"),
+    "analytic": ("analytic",),
+    "off-policy": ("sac", "tqc", "td3"),
+}
 
 
 def shipped_policy(name: str = "policy", scenario_name: str = "linear") -> Path:
@@ -21,5 +26,5 @@ def shipped_policy(name: str = "policy", scenario_name: str = "linear") -> Path:
     """
     folder = Path(str(resources.files("agents"))) / "pretrained"
     trained = "laboratory" if scenario_name == "records" else scenario_name
-    own = folder / f"{trained}-{SHIPPED[name]}.safetensors"
-    return own if own.is_file() else folder / f"linear-{SHIPPED[name]}.safetensors"
+    files = [folder / f"{of}-{by}.safetensors" for of in (trained, "linear") for by in SHIPPED[name]]
+    return next(file for file in files if file.is_file())

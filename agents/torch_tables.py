@@ -20,7 +20,7 @@ from agents.checkpointed import checkpointed
 from agents.sb3_vec_env import ShakeTableVecEnv
 from agents.torch_plant import torch_model
 from shake_env.dynamics import PeriodResponse, as_like
-from shake_env.excitation import GroundPeriod
+from shake_env.ground import GroundPeriod
 from shake_env.limits import OBSERVATION_BOUND
 from shake_env.measurement import SensorMemory
 from shake_env.plant import TABLE_DISPLACEMENT

@@ -22,7 +22,7 @@ from agents.options import ScenarioOptions
 from agents.sb3_vec_env import ShakeTableVecEnv
 from agents.torch_plant import torch_model
 from shake_env import make_scenario
-from shake_env.excitation import GroundPeriod
+from shake_env.ground import GroundPeriod
 from shake_env.measurement import SensorMemory
 from shake_env.simulation import Simulation
 

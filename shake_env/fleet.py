@@ -12,7 +12,7 @@ import numpy as np
 from shake_env import nonlinear_dynamics, reference
 from shake_env.discretization import MOST_DIRECTIONS, DiscretePlant
 from shake_env.errors import ScenarioError
-from shake_env.excitation import GroundMaps
+from shake_env.ground import GroundMaps
 from shake_env.nonlinear_dynamics import NonlinearDynamics, arrival, commands_under_way, floor_rows
 from shake_env.objective import StageCost
 from shake_env.parameters import FloatArray, stacked

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from shake_env import nonlinear_dynamics
 from shake_env.errors import ActionError
-from shake_env.excitation import Excitation, GroundMaps, GroundPeriod, control_steps
+from shake_env.excitation import Excitation, control_steps
 from shake_env.fleet import Fleet
+from shake_env.ground import GroundMaps, GroundPeriod
 from shake_env.limits import OBSERVATION_BOUND
 from shake_env.measurement import SensorMemory, SensorNoise
 from shake_env.motion import Motion

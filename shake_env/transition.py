@@ -14,7 +14,7 @@ import array_api_compat
 import numpy as np
 
 from shake_env.dynamics import PeriodResponse, TableDynamics, as_like
-from shake_env.excitation import GroundPeriod
+from shake_env.ground import GroundPeriod
 from shake_env.limits import Limits
 from shake_env.measurement import Measurement, SensorMemory
 from shake_env.nonlinear_dynamics import NonlinearDynamics, apply, floor_rows

@@ -43,7 +43,7 @@ def test_compare_writes_what_it_prints(tmp_path, capsys):
     found = json.loads(out)
     assert json.loads((output / "comparison.json").read_text()) == found
     by_name = {row["controller"]: row for row in found["summaries"]}
-    assert set(by_name) == {"lqr", "none", "policy", "analytic"}
+    assert set(by_name) == {"lqr", "none", "policy", "analytic", "off-policy"}
     assert by_name["lqr"]["relative_cost"] == 1.0
     none, policy = by_name["none"], by_name["policy"]
     assert none["acceleration_rms_error"] == pytest.approx(1.0, abs=1e-12)
@@ -52,7 +52,7 @@ def test_compare_writes_what_it_prints(tmp_path, capsys):
     assert 1.0 < policy["relative_cost"] < 1.5
     with (output / "episodes.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 12
+    assert len(rows) == 15
     cost = {
         name: sum(float(row["cost"]) for row in rows if row["controller"] == name) for name in by_name
     }

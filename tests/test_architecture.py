@@ -21,6 +21,7 @@ LAYERS = [
     {"adjoint"},
     {"nonlinear_dynamics", "measurement"},
     {"reference"},
+    {"ground"},
     {"excitation"},
     {"scenario"},
     {"named", "braking"},

@@ -16,7 +16,8 @@ from shake_env import (
     nonlinear_dynamics,
 )
 from shake_env.errors import ParameterError
-from shake_env.excitation import BLOCK_STEPS, Excitation, control_steps, filter_state
+from shake_env.excitation import BLOCK_STEPS, Excitation, control_steps
+from shake_env.ground import filter_state
 from shake_env.motion import target_history
 from shake_env.plant import specimen_plant
 from shake_env.simulation import Simulation

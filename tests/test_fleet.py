@@ -7,8 +7,8 @@ import pytest
 
 from shake_env import FilteredNoise, RecordedMotion, make_scenario, nonlinear_dynamics, reference
 from shake_env.errors import ParameterError
-from shake_env.excitation import GroundMaps
 from shake_env.fleet import Fleet
+from shake_env.ground import GroundMaps
 from shake_env.nonlinear_dynamics import NonlinearDynamics
 from shake_env.nonlinearity import Friction, Nonlinearity, ServoValve, Yielding
 from shake_env.simulation import Simulation

@@ -8,7 +8,7 @@ import pytest
 
 from baselines.lqr import sampled_lqr
 from shake_env import ShakeTableEnv, ShakeTableVectorEnv, make_scenario
-from shake_env.excitation import GroundPeriod
+from shake_env.ground import GroundPeriod
 from shake_env.simulation import Simulation
 from shake_env.transition import TableModel
 
