@@ -21,24 +21,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import shake_env
 from agents import recipes
 from agents.checkpoint import checkpoints
 from agents.code_version import code_version
-from agents.compare import cost_ratio
 from agents.config import TrainConfig, config_of, read_config
 from agents.policy_file import load_policy
 from agents.progress import Progress
+from agents.recipe_judging import Judge, OutOfTimeError, PrunedError, Validation
 from agents.recipe_space import TRAIN_SEED, own_values, space, space_json, trial_config
 from agents.recipe_trace import Trace, TrialRow
-from agents.recipes import ARENAS, Recipe
-from agents.report_estimates import learning_curve
+from agents.recipes import Recipe
 from agents.train import resume, train
 from agents.tune import FAILED, VALIDATION_SEED
-from baselines.registry import make_baseline, reference_name
-from shake_env.controller import Controller
 from shake_env.errors import (
     ParameterError,
     PolicyFileError,
@@ -47,7 +42,6 @@ from shake_env.errors import (
     ShakeError,
     unknown,
 )
-from shake_env.rollout import noise_earthquakes, rollout
 
 try:
     import fcntl
@@ -110,14 +104,6 @@ class Standing:
     seconds_left: float | None  # wall time, as far as it can be told
 
 
-class _PrunedError(Exception):
-    """The trial stands behind half of those before it."""
-
-
-class _OutOfTimeError(Exception):
-    """The search has had its minutes; the trial goes on another time."""
-
-
 def find_recipe(name: str) -> Recipe:
     """Return the recipe of a name.
 
@@ -130,66 +116,6 @@ def find_recipe(name: str) -> Recipe:
     if name not in found:
         raise unknown(ScenarioError, "recipe", name, found)
     return found[name]
-
-
-class Validation:
-    """The validation earthquakes of a recipe's arena, and the reference on them."""
-
-    def __init__(self, recipe: Recipe, earthquakes: int) -> None:
-        self.scenario = next(a.options for a in ARENAS if a.name == recipe.arena).build()
-        self.earthquakes = noise_earthquakes(self.scenario, earthquakes, VALIDATION_SEED)
-        self.reference = reference_name(self.scenario)
-        reference = make_baseline(self.reference, self.scenario)
-        self._rows, _ = rollout(reference, self.scenario, self.earthquakes)
-
-    @property
-    def reference_lost(self) -> int:
-        """Number of tables that the reference loses."""
-        return sum(row.broken_limit is not None for row in self._rows)
-
-    def judge(self, controller: Controller) -> dict[str, Any]:
-        """Return mean cost over the reference's, its 95 % interval, and the number of tables lost."""
-        rows, _ = rollout(controller, self.scenario, self.earthquakes)
-        lost = sum(row.broken_limit is not None for row in rows)
-        if not np.all(np.isfinite([row.cost for row in rows])):
-            return {"cost": FAILED, "low": FAILED, "high": FAILED, "lost": lost}
-        cost, low, high = cost_ratio(rows, self._rows)
-        return {"cost": cost, "low": low, "high": high, "lost": lost}
-
-
-class Judge:
-    """Tells Optuna how a run's own evaluations stand, and ends the run when it is to end.
-
-    What is told is the best so far, for that is the policy that a run keeps.
-    """
-
-    def __init__(self, trial: Any, config: TrainConfig, run: Path, until: float = math.inf) -> None:
-        self.trial, self.config, self.run, self.until = trial, config, run, until
-        self.best = math.inf
-        self._told: set[int] = set()
-
-    def __call__(self, told: Progress) -> None:
-        """Report what is new; raise if the run is to end before its steps are done."""
-        self.report()
-        if told.steps < told.total_steps and time.monotonic() > self.until:
-            raise _OutOfTimeError
-
-    def report(self) -> None:
-        """Report the evaluations that are not reported yet.
-
-        Each is judged in its turn, those that a fast run made since the last report too, so that whether
-        a trial is ended does not go by the clock.
-        """
-        self.best = math.inf
-        for steps, ratio in sorted(dict(learning_curve(str(self.run))).items()):
-            self.best = min(self.best, ratio if math.isfinite(ratio) else FAILED)
-            place = steps * self.config.evaluations // self.config.steps
-            if place in self._told:
-                continue
-            self.trial.report(self.best, place)
-            self._told.add(place)
-            if steps < self.config.steps and self.trial.should_prune():
-                raise _PrunedError
 
 
 def open_study(search: Search, storage: Path) -> Any:
@@ -312,7 +238,7 @@ def search_recipe(
 
             try:
                 _trial(study, search, validation, home, until, tell)
-            except _OutOfTimeError:
+            except OutOfTimeError:
                 break
     return trace_of(search, study)
 
@@ -346,7 +272,7 @@ def _trial(
         _go_on(config, run, report, search)
         judge.report()
         found = validation.judge(load_policy(run / "policy.safetensors"))
-    except _PrunedError:
+    except PrunedError:
         found = None
     except (ParameterError, ScenarioError, RunDirectoryError, PolicyFileError):
         raise  # a mistake in what was asked, no property of the values

@@ -16,12 +16,9 @@ from agents.bench import TEST_SEED
 from agents.config import TrainConfig, config_of
 from agents.progress import Progress
 from agents.recipe_figure import search_figure
+from agents.recipe_judging import Judge, OutOfTimeError, PrunedError, Validation
 from agents.recipe_search import (
-    Judge,
     Search,
-    Validation,
-    _OutOfTimeError,
-    _PrunedError,
     find_recipe,
     open_study,
     search_recipe,
@@ -179,7 +176,7 @@ def test_time_ends_a_search_and_the_trial_stays(tmp_path):
     assert trace.trials == ()
     study = open_study(SEARCH, tmp_path / "r.db")
     judge = Judge(study.ask(), trial_config(TINY, {}, 0.5), tmp_path, until=0.0)
-    with pytest.raises(_OutOfTimeError):
+    with pytest.raises(OutOfTimeError):
         judge(Progress(10, 512, 1.0, None))
     judge(Progress(512, 512, 1.0, None))  # a run that is through is not thrown away
 
@@ -224,7 +221,7 @@ def test_what_is_judged_is_the_policy_that_a_run_keeps(led, tmp_path):
     judge = evaluated((0, 1e-4), (512, math.nan), (640, 9.0))
     judge(now)  # its first is ahead of every other trial
     assert judge.best == 1e-4
-    with pytest.raises(_PrunedError):  # it caught up, but was behind before
+    with pytest.raises(PrunedError):  # it caught up, but was behind before
         evaluated((0, 2e-3), (512, 2e-3), (768, 1e-4))(now)
     evaluated((0, 2e-3), (128, 2e-3), (512, 1e-4))(now)  # a beginning is let be
     evaluated((0, 2e-3), (1_024, 2e-3))(now)  # so is an end
