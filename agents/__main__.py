@@ -23,7 +23,8 @@ from agents.campaign_command import Results, RunCampaign
 from agents.components_command import Components
 from agents.config import TrainConfig
 from agents.evaluate_command import Evaluate
-from agents.motion_command import Motion, MotionOptions, motion_earthquakes
+from agents.motion_channels import MotionOptions
+from agents.motion_command import Motion, motion_earthquakes
 from agents.options import ScenarioOptions
 from agents.policy_command import Card, Export
 from agents.progress import progress_bar
@@ -81,7 +82,8 @@ class Compare:
         """Compare, print, write."""
         from agents.compare import compare
         from agents.compare_output import print_tables, write_files
-        from agents.report import Gathered, make_report, write_report
+        from agents.report import Gathered, make_report
+        from agents.report_output import write_report
         from agents.robustness_output import read_robustness
         from shake_env.rollout import recorded_earthquakes
 

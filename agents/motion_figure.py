@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,11 +12,9 @@ from numpy.typing import NDArray
 
 from agents.figure_style import BLUE, GREY, VERMILLION, figure_style, new_figure, save_figure
 from agents.intensity import DAMPING, PERIODS, response_spectrum
+from agents.motion_channels import Channel
 from shake_env.motion import target_history
 from shake_env.preparation import TableCapacity
-
-if TYPE_CHECKING:
-    from agents.motion_command import Channel
 
 FloatArray = NDArray[np.float64]
 

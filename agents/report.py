@@ -169,17 +169,6 @@ def make_report(
     )
 
 
-def write_report(report: Report, folder: Path) -> list[Path]:
-    """Write ``index.html`` and every figure as SVG and PNG into a folder; return the paths."""
-    from agents.report_figures import stills
-    from agents.report_page import page
-
-    names = stills(report, folder)
-    path = folder / "index.html"
-    path.write_text(page(report, names), encoding="utf-8")
-    return [path, *(folder / f"{name}.{ending}" for name in names for ending in ("svg", "png"))]
-
-
 def channels(scenario: Scenario) -> tuple[Channel, ...]:
     """Return the panels of the curves over time, with the scenario's limits."""
     limits, valve = scenario.limits, scenario.nonlinearity.valve

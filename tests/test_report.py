@@ -17,10 +17,10 @@ from agents.report import (
     make_report,
     policy_files_of,
     unique_labels,
-    write_report,
 )
 from agents.report_data import page_data
 from agents.report_estimates import Drawn, TransferEstimate, learning_curve, lqr_frontier
+from agents.report_output import write_report
 from agents.report_page import page, unbroken
 from agents.report_traces import LEVELS, Curves, pack, pack_all, unpack
 from agents.verdict import verdict

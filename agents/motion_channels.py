@@ -1,0 +1,114 @@
+"""The channels of a motion file: how it is read and prepared, and what a table needs to repeat each."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shake_env.motion import RecordedMotion
+from shake_env.preparation import (
+    RATED_VELOCITY,
+    SOFT_STROKE,
+    TableCapacity,
+    TableFit,
+    fit_amplitude,
+    fit_time,
+    remove_baseline,
+)
+from shake_env.records import Record, read_motion
+from shake_env.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class MotionOptions:
+    """How a motion file is read and prepared."""
+
+    units: str | None = None
+    """Unit of a file that states none: g, m/s^2, cm/s^2, gal, mm/s^2; of counts: '4.2e-7 m/s^2'."""
+    sampling_interval: float | None = None
+    """Step of a file that states none [s]."""
+    remove_offset: bool = False
+    """Take the mean off first, as K-NET's counts need."""
+    highpass: float = 0.2
+    """Lower end of the band that the table repeats [Hz]; 0 leaves it open."""
+    lowpass: float = 25.0
+    """Upper end [Hz]; 0 leaves it open, as does a record that is sampled too coarsely for it."""
+    stroke: float = SOFT_STROKE
+    """Displacement that the table has to either side [m]."""
+    velocity: float = RATED_VELOCITY
+    """Velocity that the table has [m/s]."""
+
+    def read(self, path: Path) -> tuple[Record, ...]:
+        """Return the records of a file, in SI."""
+        records = read_motion(path, units=self.units, sampling_interval=self.sampling_interval)
+        return tuple(remove_baseline(r, 0) for r in records) if self.remove_offset else records
+
+    def motion(self, record: Record) -> RecordedMotion:
+        """Return a record's band as a motion, unscaled."""
+        coarse = self.lowpass * record.sampling_interval >= 0.5
+        return RecordedMotion(
+            record=record,
+            highpass_frequency=None if self.highpass == 0.0 else self.highpass,
+            lowpass_frequency=None if self.lowpass == 0.0 or coarse else self.lowpass,
+        )
+
+    def capacity(self, scenario: Scenario) -> TableCapacity:
+        """Return what the scenario's table can do under its specimen."""
+        return TableCapacity.of(
+            scenario.actuator, scenario.specimen, displacement=self.stroke, velocity=self.velocity
+        )
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A channel of a file, described."""
+
+    record: Record
+    by_amplitude: TableFit
+    by_time: TableFit
+
+    def to_json(self) -> dict[str, Any]:
+        """Return its figures as plain values, SI; scales multiply amplitude and time."""
+        from agents.intensity import arias_intensity, significant_duration
+
+        record, amplitude, time = self.record, self.by_amplitude, self.by_time
+        return {
+            "name": record.name,
+            "points": len(record.acceleration),
+            "sampling_interval": record.sampling_interval,
+            "duration": record.duration,
+            "peak_acceleration": float(np.max(np.abs(record.acceleration))),
+            "offset": float(np.mean(record.acceleration)),
+            "arias_intensity": arias_intensity(record),
+            "significant_duration": significant_duration(record),
+            "amplitude_scale": amplitude.factor,
+            "amplitude_governed_by": amplitude.governed_by,
+            "time_scale": time.factor,
+            "time_compression": 1.0 / time.factor,
+            "time_governed_by": time.governed_by,
+            "time_scale_suffices": time.fits,
+            "peaks": asdict(amplitude.before),
+            "peaks_scaled_by_amplitude": asdict(amplitude.after),
+            "peaks_scaled_by_time": asdict(time.after),
+            "attribution": dict(record.attribution),
+        }
+
+
+def channels(path: Path, options: MotionOptions, scenario: Scenario) -> list[Channel]:
+    """Return every channel of a file, with the scales that the scenario's table needs."""
+    capacity = options.capacity(scenario)
+    found = []
+    for record in options.read(path):
+        motion = options.motion(record)
+        step = scenario.physics_step
+        found.append(
+            Channel(
+                record,
+                fit_amplitude(motion, capacity, physics_step=step),
+                fit_time(motion, capacity, physics_step=step),
+            )
+        )
+    return found
