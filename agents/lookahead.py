@@ -37,8 +37,7 @@ def discounted_cost(scenario: Scenario, horizon: float) -> float:
     NumericalError
         If the discounted law does not hold the table.
     """
-    p = ScaledProblem.of(scenario.discrete)
-    Q, R, S = p.stage(scenario.stage_cost)
+    p, (Q, R, S) = _problem(scenario)
     share = math.exp(-0.5 * scenario.control_period / horizon)
     _, K = riccati(share * p.F, share * p.G, Q, R, S)
     return _ratio(scenario, p, K)
@@ -61,8 +60,7 @@ def windowed_law(scenario: Scenario, window: int, discount: float) -> FloatArray
     NumericalError
         If the iteration towards that law does not settle.
     """
-    p = ScaledProblem.of(scenario.discrete)
-    Q, R, S = p.stage(scenario.stage_cost)
+    p, (Q, R, S) = _problem(scenario)
     _, K = riccati(p.F, p.G, Q, R, S)
     for _ in range(ROUNDS):
         closed = p.F - p.G @ K
@@ -91,12 +89,23 @@ def windowed_cost(scenario: Scenario, window: int, discount: float | None = None
         Control periods of a window, with no value at its end.
     discount
         Of a control period; None: as the analytic policy gradient has it.
+
+    Raises
+    ------
+    NumericalError
+        As `windowed_law` does, or if that law does not hold the table.
     """
     if discount is None:
         discount = TrainConfig(algorithm="analytic").discount(scenario.control_period)
     return _ratio(
         scenario, ScaledProblem.of(scenario.discrete), windowed_law(scenario, window, discount)
     )
+
+
+def _problem(scenario: Scenario) -> tuple[ScaledProblem, tuple[FloatArray, FloatArray, FloatArray]]:
+    """Return the scaled problem, m states, and its stage Q, R, S: (m, m), (1, 1), (m, 1)."""
+    p = ScaledProblem.of(scenario.discrete)
+    return p, p.stage(scenario.stage_cost)
 
 
 def _ratio(scenario: Scenario, p: ScaledProblem, K: FloatArray) -> float:
