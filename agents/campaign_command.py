@@ -38,7 +38,7 @@ class RunCampaign:
     evaluate: bool = True
     """Whether the scenarios of these recipes are evaluated when their runs are done."""
     again: bool = False
-    """Whether an evaluation is made anew where its policies are those of before."""
+    """Whether all rows are evaluated anew, of the policies that there are, rather than the new ones."""
     dry_run: bool = False
     """Print what would be run, with the minutes expected, and do nothing."""
     json: bool = False

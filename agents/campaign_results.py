@@ -1,8 +1,9 @@
-"""Results of a campaign: every arena's policies and rivals under the protocol, kept while they hold."""
+"""Results of a campaign: every arena's policies and rivals under the protocol, row by row."""
 
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,34 +27,49 @@ def evaluate_arena(
     again: bool = False,
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
 ) -> tuple[Path, dict[str, Any], bool]:
-    """Return the file of an arena's result, the result, and whether it was made now.
+    """Return the file of an arena's result, the result, and whether any of it was made now.
 
-    A result holds as long as its policies, rivals and earthquakes are the same; the code's version
-    is not asked, for most changes of it touch no figure: `again` asks for a new one.
+    A row holds while there is no policy for it that it was not made of, and a rival's while it is in the
+    file: a row whose policies lie on no disk here any more stays. What does not hold is run, and with it
+    the reference and the yardstick, which must fare as they did. The code's version is not asked, for
+    most changes of it touch no figure: `again` asks for all rows anew, of the policies that there are.
+
+    Raises
+    ------
+    ParameterError
+        If rows are to stay, but reference or yardstick fare otherwise than when those were made.
     """
     file = results / f"{PREFIX}{arena.name}.json"
     scenario = arena.options.build()
     rows = [contestant(str(runs), scenario) for runs in policy_folders(arena, folder)]
     rows += [Contestant(name) for name in arena.rivals]
-    wanted = _identity(rows, arena)
+    known = None
     if file.exists() and not again:
         known = json.loads(file.read_text(encoding="utf-8"))
-        if known.get("identity") == wanted:
-            return file, known, False
+        if known["identity"]["earthquakes"] != arena.earthquakes:
+            known = None
+    missing = [row for row in rows if known is None or not _holds(row, known["identity"]["rows"])]
+    if known is not None and not missing:
+        return file, known, False
     result = evaluate(
         scenario,
-        rows,
+        missing,
         earthquakes=arena.earthquakes,
         repeats=arena.fidelity,
+        known=known,
         on_progress=on_progress,
     )
-    result |= {"arena": arena.name, "identity": wanted}
+    result |= {"arena": arena.name, "identity": _identity(result, arena)}
     write_result(result, file)
     return file, result, True
 
 
-def _identity(rows: list[Contestant], arena: Arena) -> dict[str, Any]:
+def _holds(row: Contestant, known: dict[str, list[str]]) -> bool:
+    return row.name in known and Counter(s["sha256"] for s in row.sources) <= Counter(known[row.name])
+
+
+def _identity(result: dict[str, Any], arena: Arena) -> dict[str, Any]:
     return {
         "earthquakes": arena.earthquakes,
-        "rows": {row.name: [source["sha256"] for source in row.sources] for row in rows},
+        "rows": {row["controller"]: [s["sha256"] for s in row["sources"]] for row in result["rows"]},
     }

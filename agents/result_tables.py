@@ -70,10 +70,11 @@ def markdown(result: dict[str, Any]) -> str:
         lines.append("| " + " | ".join(cells) + " |")
     seed = "recorded" if result["seed"] is None else f"seeds from {result['seed']}"
     optimum = result["optimal_cost"]
+    codes = dict.fromkeys(str(row["code"]) for row in result["rows"])
     lines += [
         "",
         f"{len(result['earthquakes'])} earthquakes, {seed}; version {result['version']} "
-        f"({result['code']}), {result['machine']}."
+        f"({', '.join(codes)}), {result['machine']}."
         + ("" if optimum is None else f" J* = {optimum:.6g}."),
     ]
     return "\n".join(lines) + "\n"

@@ -112,6 +112,29 @@ def test_an_evaluation_holds_until_its_policies_change(campaigned, tmp_path):
     assert made
     assert next(row for row in result["rows"] if row["controller"] == "ppo")["runs"] == 2
 
+    # A row whose policies are gone stays beside a new one, and so does a row of whose policies some are
+    # gone: both keep the figures of what they were made of.
+    (folder / "linear/ppo/1").rename(folder / "linear/other")
+    assert not evaluate_arena(arena, folder, tmp_path / "results")[2]
+    shutil.rmtree(folder / "linear/ppo")
+    (folder / "linear/sac").mkdir()
+    (folder / "linear/other").rename(folder / "linear/sac/0")
+    _, later, made = evaluate_arena(arena, folder, tmp_path / "results")
+    assert made
+    before, after = ({row["controller"]: row for row in r["rows"]} for r in (result, later))
+    assert after.pop("sac")["run_costs"] == before["ppo"]["run_costs"][:1]
+    for name in ("ppo", "none"):
+        assert after[name] == before[name]
+        assert later["episodes"][name] == result["episodes"][name]
+    assert after["lqr"]["relative_cost"] == before["lqr"]["relative_cost"]
+
+    # But not where the reference fares otherwise now.
+    other = replace(arena, options=ScenarioOptions(duration=1.0, set=("objective.force_weight=2",)))
+    (folder / "linear/sac").rename(folder / "linear/td3")
+    with pytest.raises(ParameterError, match="evaluate all of them anew"):
+        evaluate_arena(other, folder, tmp_path / "results")
+    assert evaluate_arena(other, folder, tmp_path / "results", again=True)[2]
+
 
 def test_a_worker_whose_campaign_is_gone_ends(tmp_path):
     values = json.dumps(TrainConfig(**{**vars(SMALL), "total_steps": 100_000_000}).to_json())
