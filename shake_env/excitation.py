@@ -7,7 +7,6 @@ that a step reads one contiguous slice. Memory is the block's, never the episode
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Sequence
 from functools import lru_cache
@@ -28,6 +27,7 @@ from shake_env.motion import (
 )
 from shake_env.nonlinear_dynamics import apply
 from shake_env.nonlinearity import Yielding
+from shake_env.normals import Normals
 from shake_env.parameters import FloatArray, GroundFilter
 
 BLOCK_STEPS = 64  # control periods computed ahead
@@ -108,7 +108,7 @@ class Excitation:
         self._exogenous = self._rows.ground + self._rows.reference
         self._draws = self.maps.noise.shape[-1] - self._exogenous
         self._motions: list[EpisodeMotion] = [FilteredNoise()] * lanes
-        self._streams: list[np.random.Generator | None] = [None] * lanes
+        self._normals = Normals(lanes)
         self._filled = np.zeros(lanes, dtype=int)  # control periods of its motion each lane has filled
         self._tail = np.zeros((lanes, self._exogenous))  # exogenous state at the filled end
         stories = discrete.layout.stories
@@ -143,7 +143,7 @@ class Excitation:
         """
         initial = np.zeros((len(lanes), self._rows.width))
         for row, (lane, motion, stream) in enumerate(zip(lanes, motions, streams, strict=True)):
-            self._motions[lane], self._streams[lane] = motion, stream
+            self._motions[lane], self._normals[lane] = motion, stream
             self._shape(lane, motion)
             self._filled[lane] = 0
             self._tail[lane] = self._slipping[lane] = self._last_target[lane] = 0.0
@@ -178,8 +178,7 @@ class Excitation:
         self._cursor = 0
         self._store, self._spare = self._spare, self._store
         self._store[: self._ahead] = self._spare[BLOCK_STEPS:]
-        begun = [lane for lane, stream in enumerate(self._streams) if stream is not None]
-        self._fill([lane for lane in begun if lane not in without], self._ahead)
+        self._fill([lane for lane in self._normals.lanes if lane not in without], self._ahead)
 
     def _preview(
         self, store: FloatArray, row: int, lanes: IntArray | slice = slice(None)
@@ -242,10 +241,8 @@ class Excitation:
 
     def _filter(self, lanes: IntArray, first: int, intensity: FloatArray, which: IntArray) -> None:
         steps = self._length - first
-        for lane, drawn in zip(lanes.tolist(), self._noise[:, :steps], strict=False):
-            stream = self._streams[lane]
-            assert stream is not None  # as _fill sorted them
-            stream.standard_normal(out=drawn)
+        drawn = self._noise.reshape(len(self._noise), -1)[: len(lanes), : steps * self._draws]
+        self._normals.fill(lanes.tolist(), drawn)
         amplitude = self._amplitude[lanes]
         kernel = _compiled()
         if kernel is not None:
@@ -336,7 +333,7 @@ class Excitation:
         """Return everything that `restore` needs to go on exactly, as plain picklable values."""
         return {
             "motions": list(self._motions),
-            "streams": copy.deepcopy(self._streams),
+            "streams": self._normals.snapshot(),
             "filled": self._filled.copy(),
             "tail": self._tail.copy(),
             "slipping": self._slipping.copy(),
@@ -348,7 +345,7 @@ class Excitation:
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Go on from a `snapshot` of an excitation of the same plant and number of lanes."""
         self._motions = list(snapshot["motions"])
-        self._streams = copy.deepcopy(snapshot["streams"])
+        self._normals.restore(snapshot["streams"])
         for lane, motion in enumerate(self._motions):
             self._shape(lane, motion)
         self._filled[:] = snapshot["filled"]

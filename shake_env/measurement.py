@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -12,6 +11,7 @@ import array_api_compat
 import numpy as np
 
 from shake_env.dynamics import as_like
+from shake_env.normals import Normals
 from shake_env.parameters import FloatArray
 from shake_env.sensing import STATE_SIGNALS, ObservationLayout
 
@@ -190,7 +190,7 @@ class SensorNoise:
         self._rms = layout.sensor_values("noise")
         self._bias = layout.sensor_values("bias")
         self.active = bool(self._rms.any() or self._bias.any())
-        self._streams: list[np.random.Generator | None] = [None] * lanes
+        self._normals = Normals(lanes)
         self._block = np.zeros((lanes, BLOCK_STEPS, len(self._rms)))
         self._cursor = 0
 
@@ -209,9 +209,9 @@ class SensorNoise:
             for row, (lane, stream) in enumerate(zip(lanes, streams, strict=True)):
                 # Spawned: the ground's own draws stay what they are without sensors.
                 own = stream.spawn(1)[0]
-                self._streams[lane] = own
                 bias[row] = self._bias * own.standard_normal(len(self._bias))
                 noise[row] = self._rms * own.standard_normal(len(self._rms))
+                self._normals[lane] = own
             self._draw(list(lanes), self._cursor)
         return bias, noise
 
@@ -226,28 +226,26 @@ class SensorNoise:
             return self._block, 0
         if self._cursor == BLOCK_STEPS:
             self._cursor = 0
-            self._draw([lane for lane, stream in enumerate(self._streams) if stream is not None], 0)
+            self._draw(self._normals.lanes, 0)
         self._cursor += 1
         return self._block, self._cursor - 1
 
     def _draw(self, lanes: list[int], first: int) -> None:
-        for lane in lanes:
-            stream = self._streams[lane]
-            assert stream is not None  # as the callers checked
-            stream.standard_normal(out=self._block[lane, first:])
-        everyone = len(lanes) == len(self._streams)
-        self._block[slice(None) if everyone else lanes, first:] *= self._rms
+        drawn = np.empty((len(lanes), BLOCK_STEPS - first, len(self._rms)))
+        self._normals.fill(lanes, drawn.reshape(len(lanes), -1))
+        drawn *= self._rms
+        self._block[lanes, first:] = drawn
 
     def snapshot(self) -> dict[str, Any]:
         """Return everything that `restore` needs to go on exactly."""
         return {
-            "streams": copy.deepcopy(self._streams),
+            "streams": self._normals.snapshot(),
             "block": self._block.copy(),
             "cursor": self._cursor,
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Go on from a `snapshot`."""
-        self._streams = copy.deepcopy(snapshot["streams"])
+        self._normals.restore(snapshot["streams"])
         self._block[:] = snapshot["block"]
         self._cursor = snapshot["cursor"]

@@ -17,10 +17,11 @@ LAYERS = [
     {"plant", "records"},
     {"discretization", "motion", "objective", "limits", "nonlinearity", "sensing", "uncertainty"},
     {"dynamics", "preparation", "fields", "block_kernel"},
-    {"compiled", "ground_kernel", "adjoint_kernel"},
+    {"compiled", "ground_kernel", "adjoint_kernel", "normal_kernel"},
     {"adjoint"},
-    {"nonlinear_dynamics", "measurement"},
-    {"reference"},
+    {"nonlinear_dynamics"},
+    {"reference", "normals"},
+    {"measurement"},
     {"ground"},
     {"excitation"},
     {"scenario"},
@@ -85,7 +86,14 @@ def test_agents_leave_control_to_the_baselines(path):
 
 def test_packages_need_nothing_that_is_not_declared():
     declared = {"numpy", "scipy", "gymnasium", "array_api_compat", "shake_env"}
-    compiled = ("block_kernel.py", "compiled.py", "fused.py", "ground_kernel.py", "adjoint.py")
+    compiled = (
+        "block_kernel.py",
+        "compiled.py",
+        "fused.py",
+        "ground_kernel.py",
+        "adjoint.py",
+        "normal_kernel.py",
+    )
     optional = {
         "rendering.py": {"pygame"}, "drawing.py": {"PIL"}, "pen.py": {"PIL"},
         **{name: {"numba"} for name in compiled},

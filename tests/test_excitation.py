@@ -387,16 +387,16 @@ def test_the_compiled_ground_is_the_references(name, own, monkeypatch):
     def followed(compiled):
         monkeypatch.setattr(nonlinear_dynamics, "COMPILED", compiled)
         simulation = Simulation(scenario, lanes)
-        streams = [np.random.default_rng(lane) for lane in range(lanes)]
-        simulation.start(range(lanes), streams)
+        simulation.start(range(lanes), [np.random.default_rng(lane) for lane in range(lanes)])
         excitation = simulation.excitation
         motions = [MOTIONS[lane % len(MOTIONS)] for lane in range(lanes)]
-        excitation.start(range(lanes), motions, streams)
+        excitation.start(range(lanes), motions, [np.random.default_rng(lane) for lane in range(lanes)])
         rows = []
         for t in range(150):
             if t == 90:
                 again = [69, 3, 31]
-                excitation.start(again, [MOTIONS[1], MOTIONS[0], MOTIONS[3]], streams[:3])
+                streams = [np.random.default_rng(100 + lane) for lane in again]
+                excitation.start(again, [MOTIONS[1], MOTIONS[0], MOTIONS[3]], streams)
             rows.append(taken(excitation))
         return joined(rows)
 
