@@ -282,26 +282,18 @@ def _read(
 
 
 @inlined
-def _put(
-    seen: NDArray[np.float32],
-    column: int,
-    rows: FloatArray,
-    scale: FloatArray,
-    first: int,
-    start: int,
-    w: int,
-) -> int:
-    """Write rows over their scale to the columns of an observation, bounded; return the next column.
+def _put(look: FloatArray, column: int, rows: FloatArray, scale: FloatArray, start: int, w: int) -> int:
+    """Write rows over their scale to those of an observation, bounded; return the next one.
 
     Only the drifting position, or a table that has just diverged, comes near the bound. A NaN becomes 0.
     """
     for i in range(len(rows)):
-        size = scale[min(i, len(scale) - 1)]
+        size, out = scale[min(i, len(scale) - 1)], look[column + i]
         for n in range(w):
             value = rows[i, start + n] / size
             value = OBSERVATION_BOUND if value > OBSERVATION_BOUND else value
             value = -OBSERVATION_BOUND if value < -OBSERVATION_BOUND else value
-            seen[first + n, column + i] = value if value == value else 0.0
+            out[n] = value if value == value else 0.0
     return column + len(rows)
 
 
@@ -312,31 +304,35 @@ def _show(
     after: FloatArray,
     ground: FloatArray,
     shown: FloatArray,
+    look: FloatArray,
     v: FloatArray,
     p: IntArray,
     cursor: int,
     first: int,
     w: int,
 ) -> None:
-    """Write the observation; see `TableModel.observe`."""
+    """Write the observation, (N, n), by way of its block's (n, w); see `TableModel.observe`."""
     now, head, k = ground[cursor], p[at.FILTER], p[at.SUBSTEPS]
     scale, one = v[at.SCALES : p[at.FOLLOW]], v[at.ONE : at.ONE + 1]
-    column = _put(seen, 0, now[:head], scale, first, first, w)
+    column = _put(look, 0, now[:head], scale, first, w)
     if p[at.FULL_STATE]:
         state = after[at.STATE : at.STATE + p[at.CONTROLLED]]
-        column = _put(seen, column, state, scale[head:], first, first, w)
+        column = _put(look, column, state, scale[head:], first, w)
         reference = now[head : head + p[at.REFERENCE]]
-        column = _put(seen, column, reference, scale[head + p[at.CONTROLLED] :], first, first, w)
-    column = _put(seen, column, shown, one, first, 0, w)
+        column = _put(look, column, reference, scale[head + p[at.CONTROLLED] :], first, w)
+    column = _put(look, column, shown, one, 0, w)
     target, size = head + p[at.REFERENCE], v[at.PREVIEW_SCALE : at.PREVIEW_SCALE + 1]
     for i in range(p[at.SAMPLES]):
         ahead = (i + 1) * p[at.SPACING] - 1
         row = target + ahead % k
         coming = ground[cursor + 1 + ahead // k, row : row + 1]
-        column = _put(seen, column, coming, size, first, first, w)
+        column = _put(look, column, coming, size, first, w)
     if p[at.LAST_ACTION]:
-        column = _put(seen, column, after[p[at.ACTION] : p[at.ACTION] + 1], one, first, first, w)
-    _put(seen, column, before[p[at.PAST] : p[at.PAST] + p[at.HISTORY]], one, first, first, w)
+        column = _put(look, column, after[p[at.ACTION] : p[at.ACTION] + 1], one, first, w)
+    _put(look, column, before[p[at.PAST] : p[at.PAST] + p[at.HISTORY]], one, first, w)
+    for n in range(w):
+        for i in range(len(look)):
+            seen[first + n, i] = look[i, n]
 
 
 @inlined
@@ -402,6 +398,7 @@ def _period(
     size, start = view(v, p[at.ROOM], (width,)), p[at.ROOM] + width
     readings, columns, floors = p[at.READINGS], p[at.FLOOR_COLUMNS], p[at.FLOORS]
     shown, start = view(v, start, (readings, width)), start + readings * width
+    look = view(v, start, (seen.shape[1], width))  # where the others have done
     target, now = p[at.FILTER] + p[at.REFERENCE], ground[cursor]
     last = target + p[at.SUBSTEPS] - 1
     for first in range(0, lanes, width):
@@ -425,7 +422,7 @@ def _period(
         _check(after, v, p, size, first, w)
         happened |= _close(after, ends, counters, own, v, first, w)
         _read(before, after, noise, own, v, p, shown, sample, first, w)
-        _show(seen, before, after, ground, shown, v, p, cursor, first, w)
+        _show(seen, before, after, ground, shown, look, v, p, cursor, first, w)
         _remember(before, after, shown, p, first, w)
         end = p[at.RESPONSE] + p[at.SUBSTEPS] - 1
         for n in range(first, first + w):

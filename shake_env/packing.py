@@ -156,7 +156,8 @@ def pack(
     p[DEPTH], p[STRIDE] = depth, size if own else 0
     at = start + blocks * size
     p[GIVEN], p[OWN], p[ROOM] = at, at + lanes, at + (2 + readings) * lanes
-    room = 4 * order + 8 * substeps + 8 * stories + readings + 64  # more rows than a step uses
+    # More rows than a step uses.
+    room = 4 * order + 8 * substeps + 8 * stories + readings + layout.size + 64
     held = np.zeros(p[ROOM] + room * min(lanes, block))
     held[:start] = numbers
     packed = Packed(
