@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Literal
 
 from baselines.adaptive import certainty_equivalence
 from baselines.estimator_model import ModelError
@@ -39,6 +40,9 @@ from shake_env.scenario import Scenario
 class Tunable:
     """A free parameter of a controller, searched between `low` and `high`.
 
+    At an end that is `natural` a part of the controller falls away: nothing lies beyond. A search that
+    comes to another end asks for a wider range (a test holds what was tuned against it).
+
     Raises
     ------
     ParameterError
@@ -49,6 +53,7 @@ class Tunable:
     high: float
     default: float
     logarithmic: bool = True
+    natural: Literal["", "low", "high"] = ""
 
     def __post_init__(self) -> None:
         ordered = self.low <= self.default <= self.high and self.low < self.high
@@ -220,9 +225,12 @@ def _learning(
 
 
 MODELS = 32  # specimens that the multi-model design is made for
-_POSITION = Tunable(0.001, 0.3, 0.03)
-_DOUBT = Tunable(0.1, 30.0, 1.0)
-_BANDWIDTH, _DAMPING = Tunable(0.2, 5.0, 1.0), Tunable(0.03, 0.7, 0.2)
+_POSITION = Tunable(0.001, 10.0, 0.03, natural="high")  # then the place is minded no more
+_DOUBT = Tunable(0.003, 30.0, 1.0)
+_BANDWIDTH = Tunable(0.02, 5.0, 1.0, natural="low")  # the feed-forward alone
+_DAMPING = Tunable(0.01, 0.7, 0.2)
+_CUTOFF = Tunable(10.0, 200.0, 40.0, natural="high")  # past half the control rate: no low-pass
+_ALPHA = Tunable(0.003, 30.0, 1.0, natural="low")  # without adaptation
 
 BASELINES: dict[str, Baseline] = {
     "none": Baseline(lambda scenario: NoControl(), "zero current: the table that does nothing"),
@@ -236,7 +244,10 @@ BASELINES: dict[str, Baseline] = {
     "lqr-integral": Baseline(
         _integral,
         "LQR with integral action on displacement",
-        {"position": Tunable(1e-4, 10.0, 0.01), "integral": Tunable(1e-4, 10.0, 0.01)},
+        {
+            "position": Tunable(1e-6, 1e3, 0.01, natural="low"),
+            "integral": Tunable(1e-6, 1e3, 0.01, natural="low"),
+        },
     ),
     "lqg": Baseline(
         _lqg, "preview LQR behind a Kalman filter", {"position": _POSITION, "doubt": _DOUBT}
@@ -264,43 +275,47 @@ BASELINES: dict[str, Baseline] = {
     "robust": Baseline(
         _robust,
         "H-infinity feedback with a guaranteed cost for an uncertain mass",
-        {"mass_uncertainty": Tunable(0.02, 0.9, 0.1), "position": _POSITION, "doubt": _DOUBT},
+        {
+            "mass_uncertainty": Tunable(0.002, 0.9, 0.1, natural="low"),
+            "position": _POSITION,
+            "doubt": _DOUBT,
+        },
     ),
     "adaptive": Baseline(
         certainty_equivalence,
         "finds out which specimen it is, and drives it by its own preview LQR",
-        {"position": Tunable(0.001, 0.3, 0.05)},
+        {"position": Tunable(0.001, 10.0, 0.05, natural="high")},
     ),
     "pid": Baseline(
-        _pid, "PID on displacement, velocity fed forward", {"bandwidth": Tunable(0.2, 8.0, 1.0)}
+        _pid,
+        "PID on displacement, velocity fed forward",
+        {"bandwidth": Tunable(0.02, 8.0, 1.0, natural="low")},
     ),
     "tvc": Baseline(_tvc, "three-variable control", {"bandwidth": _BANDWIDTH, "damping": _DAMPING}),
     "tvc-observer": Baseline(
         _observer,
         "three-variable control with a disturbance observer",
-        {"margin": Tunable(0.1, 0.95, 0.7), "bandwidth": _BANDWIDTH, "damping": _DAMPING},
+        {"margin": Tunable(0.02, 0.95, 0.7), "bandwidth": _BANDWIDTH, "damping": _DAMPING},
     ),
     "mcs": Baseline(
         _mcs,
         "minimal control synthesis around three-variable control",
-        {"alpha": Tunable(0.01, 30.0, 1.0), "bandwidth": Tunable(1.0, 10.0, 4.0)},
+        {"alpha": _ALPHA, "bandwidth": Tunable(1.0, 30.0, 4.0)},
     ),
     "mcs-bounded": Baseline(
         _mcs_bounded,
         "minimal control synthesis with error integral, leakage and bounds",
         {
-            "alpha": Tunable(0.01, 30.0, 1.0),
-            "bandwidth": Tunable(1.0, 10.0, 4.0),
-            "leakage": Tunable(0.02, 2.0, 0.2),
+            "alpha": _ALPHA,
+            "bandwidth": Tunable(1.0, 30.0, 4.0),
+            "leakage": Tunable(0.02, 20.0, 0.2, natural="high"),
         },
     ),
-    "inverse": Baseline(
-        _inverse, "inverse-model feed-forward alone", {"cutoff": Tunable(10.0, 80.0, 40.0)}
-    ),
+    "inverse": Baseline(_inverse, "inverse-model feed-forward alone", {"cutoff": _CUTOFF}),
     "inverse-feedback": Baseline(
         _inverse_feedback,
         "inverse-model feed-forward with placed feedback",
-        {"cutoff": Tunable(10.0, 80.0, 40.0), "bandwidth": _BANDWIDTH, "damping": _DAMPING},
+        {"cutoff": _CUTOFF, "bandwidth": _BANDWIDTH, "damping": _DAMPING},
     ),
     "iteration": Baseline(
         _iteration,
