@@ -213,8 +213,9 @@ class Train:
             else:
                 result = train(self.config, self.run_directory, report=view)
         console.print(
-            f"cost relative to LQR {result.cost_ratio:.4f} after {result.steps} steps, "
-            f"{result.seconds:.0f} s\nwrote {self.run_directory / 'policy.safetensors'}\n"
+            f"cost relative to {result.reference} {result.cost_ratio:.4f} after {result.best_steps} of "
+            f"{result.steps} steps, {result.seconds:.0f} s\n"
+            f"wrote {self.run_directory / 'policy.safetensors'}\n"
             f"compare it: shake compare --controllers lqr policy {self.run_directory}"
         )
         return asdict(result)
@@ -248,7 +249,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command; return 0, or 2 for a mistake in what was asked, or 130 when interrupted."""
+    """Run a command; return 0, 1 if runs failed, 2 for a mistake in what was asked, 130 interrupted."""
     command = tyro.extras.subcommand_cli_from_dict(
         COMMANDS,
         prog="shake",
@@ -269,7 +270,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     if command.json:
         print(json.dumps(found))
-    return 0
+    return 1 if isinstance(command, RunCampaign) and found.get("failures") else 0
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from agents.campaign_worker import PROGRESS
 from agents.checkpoint import checkpoints
 from agents.config import TrainConfig, read_config
 from agents.recipes import Recipe
-from shake_env.errors import RunDirectoryError, ScenarioError, unknown
+from shake_env.errors import ScenarioError, ShakeError, unknown
 
 State = Literal["done", "begun", "waiting", "running", "failed", "foreign"]
 
@@ -46,10 +46,12 @@ class Task:
         """Read the state of the run from its directory."""
         if not self.run.exists():
             return
+        if not (self.run / "config.json").exists():
+            return  # it was killed before it began
         try:
             same = read_config(self.run) == self.config
-        except RunDirectoryError:
-            return  # it was killed before it began
+        except ShakeError:  # that of another version, or damaged
+            same = False
         if not same:
             self.state, self.failure = "foreign", "holds another configuration: move it away"
         elif (self.run / "result.json").exists():

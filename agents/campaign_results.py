@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from agents.bench import TEST_SEED
 from agents.evaluate import Contestant, contestant, evaluate
 from agents.recipes import Arena
 from agents.result_tables import PREFIX, write_result
+from baselines.registry import tuned_parameters
+from shake_env.errors import ParameterError
 
 
 def policy_folders(arena: Arena, folder: Path) -> list[Path]:
@@ -37,7 +41,8 @@ def evaluate_arena(
     Raises
     ------
     ParameterError
-        If rows are to stay, but reference or yardstick fare otherwise than when those were made.
+        If rows are to stay, but reference or yardstick fare otherwise than when those were made; or if
+        a row of some policies would become one of fewer others.
     """
     file = results / f"{PREFIX}{arena.name}.json"
     scenario = arena.options.build()
@@ -45,10 +50,8 @@ def evaluate_arena(
     rows += [Contestant(name) for name in arena.rivals]
     known = None
     if file.exists() and not again:
-        known = json.loads(file.read_text(encoding="utf-8"))
-        if known["identity"]["earthquakes"] != arena.earthquakes:
-            known = None
-    missing = [row for row in rows if known is None or not _holds(row, known["identity"]["rows"])]
+        known = _read(file, arena)
+    missing = [row for row in rows if known is None or not _holds(row, known["identity"])]
     if known is not None and not missing:
         return file, known, False
     result = evaluate(
@@ -64,12 +67,54 @@ def evaluate_arena(
     return file, result, True
 
 
-def _holds(row: Contestant, known: dict[str, list[str]]) -> bool:
-    return row.name in known and Counter(s["sha256"] for s in row.sources) <= Counter(known[row.name])
+def _read(file: Path, arena: Arena) -> dict[str, Any]:
+    known: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    if known.get("identity", {}).get("arena") != _asked(arena):
+        raise ParameterError(
+            "results",
+            str(file),
+            f"is no result of {arena.name} as it is asked for now: move it away, or evaluate all rows "
+            "anew (--again), of the policies that there are",
+        )
+    return known
+
+
+def _holds(row: Contestant, known: dict[str, Any]) -> bool:
+    """Return whether a known row is this one's: the same rival, or policies that it was made of.
+
+    Raises
+    ------
+    ParameterError
+        If others have come, some of the known ones are gone, and there are fewer than there were.
+    """
+    if row.name not in known["rows"]:
+        return False
+    if not row.policies:
+        tuned: bool = known["tuned"].get(row.name, {}) == tuned_parameters(
+            row.name, known["arena"]["scenario"]
+        )
+        return tuned
+    here = Counter(source["sha256"] for source in row.sources)
+    there = Counter(known["rows"][row.name])
+    if here <= there:
+        return True
+    if there <= here or here.total() >= there.total():
+        return False
+    raise ParameterError(
+        "policies",
+        row.name,
+        f"{here.total()} lie here, others than the {there.total()} of the known row, which they would "
+        "replace: train as many seeds, move them away, or evaluate all rows anew (--again)",
+    )
+
+
+def _asked(arena: Arena) -> dict[str, Any]:
+    """Return what a result depends on but for its rows and the code."""
+    asked: dict[str, Any] = json.loads(json.dumps(asdict(arena.options)))
+    return asked | {"earthquakes": arena.earthquakes, "fidelity": arena.fidelity, "seed": TEST_SEED}
 
 
 def _identity(result: dict[str, Any], arena: Arena) -> dict[str, Any]:
-    return {
-        "earthquakes": arena.earthquakes,
-        "rows": {row["controller"]: [s["sha256"] for s in row["sources"]] for row in result["rows"]},
-    }
+    rows = {row["controller"]: [s["sha256"] for s in row["sources"]] for row in result["rows"]}
+    tuned = {name: tuned_parameters(name, arena.options.scenario) for name in rows if not rows[name]}
+    return {"arena": _asked(arena), "rows": rows, "tuned": tuned}

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,10 +18,8 @@ try:
 except ImportError:  # no such locks on Windows
     fcntl = None  # type: ignore[assignment]
 
-from agents.checkpoint import checkpoints
 from agents.config import config_of
-from agents.train import Progress, resume, train
-from shake_env.errors import RunDirectoryError
+from agents.train import Progress, go_on
 
 PROGRESS = "progress.json"
 
@@ -55,19 +52,7 @@ def work(run: Path, values: str, command: str) -> None:
         partial.replace(run / PROGRESS)
 
     with _alone(run):
-        if run.exists() and not checkpoints(run):
-            shutil.rmtree(run)  # killed before its first checkpoint: nothing is lost
-        if not run.exists():
-            train(config, run, report=report, command=command)
-            return
-        found = config_of(json.loads((run / "config.json").read_text(encoding="utf-8")))
-        if found != config:
-            raise RunDirectoryError(
-                "run directory", str(run), "holds another configuration: move it away"
-            )
-        for left in (run / "checkpoints").glob(".partial-*"):
-            shutil.rmtree(left)
-        resume(run, report=report, command=command)
+        go_on(config, run, report=report, command=command)
 
 
 if __name__ == "__main__":

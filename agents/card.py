@@ -123,7 +123,9 @@ def card_text(
     """
     card = policy.card
     config = card.get("config", {})
-    scenario = {key: value for key, value in config.get("scenario", {}).items() if value}
+    scenario = {
+        key: value for key, value in config.get("scenario", {}).items() if value not in (None, [])
+    }
     name = scenario.pop("scenario", "unknown")
     changed = ", ".join(f"{key} = {value}" for key, value in scenario.items())
     memory = "none" if policy.memory is None else f"{policy.memory.kind}, {policy.memory.units} units"
@@ -148,9 +150,9 @@ def card_text(
     if trained:
         lines += [
             f"Training took {trained['steps']:,} control periods, {trained['seconds'] / 60.0:.1f} "
-            "minutes in the last process, and ended at "
-            f"{trained['cost_ratio']:.4f} of the reference's cost on the evaluation earthquakes "
-            "of training.",
+            "minutes in the last process. Its best evaluation, whose policy this is, came after "
+            f"{trained['best_steps']:,}: {trained['cost_ratio']:.4f} of the reference's cost on the "
+            "evaluation earthquakes of training.",
             "",
         ]
     if figure is not None:
@@ -184,7 +186,7 @@ def _evaluation(result: dict[str, Any], row: dict[str, Any], sha: str) -> list[s
     lines = [
         f"## Evaluation on {where}",
         "",
-        f"{len(result['earthquakes'])} test earthquakes, code {result['code']}; 95 % intervals.",
+        f"{len(result['earthquakes'])} test earthquakes, code {row['code']}; 95 % intervals.",
         "",
     ]
     if row["runs"] > 1:

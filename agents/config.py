@@ -96,6 +96,12 @@ class TrainConfig:
         for options in every:
             require_positive(options, *(name for name in vars(options) if name not in not_positive))
         require_non_negative(self, "seed", "artificial")
+        if self.artificial and self.seed >= 10:
+            raise ParameterError(
+                "seed",
+                self.seed,
+                "artificial earthquakes of seeds above 9 are those that runs are judged on",
+            )
         require_non_negative(self.analytic, "memory", "checkpoint")
         require_non_negative(self.tqc, "dropped")
         if self.tqc.dropped >= self.tqc.quantiles:

@@ -189,6 +189,7 @@ def evaluate(
     """
     if earthquakes < 2:
         raise ParameterError("earthquakes", earthquakes, "an interval needs at least 2")
+    code = code_version()  # that runs, not that ends
     recorded = scenario.name == "records"
     quakes = (
         recorded_earthquakes(scenario)
@@ -197,10 +198,18 @@ def evaluate(
     )
     reference, optimum = reference_name(scenario), optimal_cost(scenario)
     yardstick = reference if optimum is not None else CLAIRVOYANT
+    for each in contestants:
+        if each.policies and each.name in (yardstick, reference, *BASELINES, *FOUND):
+            raise ParameterError(
+                "entry", each.name, "is a controller's name: call the policies by NAME=PATH"
+            )
     given = {each.name: each for each in contestants}
     if len(given) < len(contestants):
-        raise ParameterError("entries", [c.name for c in contestants], "two rows have one name")
+        raise ParameterError(
+            "entries", [c.name for c in contestants], "two rows have one name: give others by NAME=PATH"
+        )
     rows = {name: given.pop(name, Contestant(name)) for name in (yardstick, reference)} | given
+    machine = f"{platform.machine()}, {os.cpu_count()} cores"
     episodes, latency = {}, {}
     for name, each in rows.items():
 
@@ -221,7 +230,8 @@ def evaluate(
         | {
             "decision_time": latency[name],
             "sources": list(rows[name].sources),
-            "code": code_version(),
+            "code": code,
+            "machine": machine,
         }
         for name, found in episodes.items()
     ]
@@ -235,8 +245,8 @@ def evaluate(
         "format": FORMAT,
         "scenario": scenario.name,
         "version": shake_env.__version__,
-        "code": code_version(),
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+        "code": code,
+        "machine": machine,
         "seed": None if recorded else TEST_SEED,
         "earthquakes": [quake.name for quake in quakes],
         "reference": reference,
@@ -252,7 +262,7 @@ def _check_same(name: str, found: dict[str, Any], before: dict[str, Any] | None)
     # Processors round differently, and 7 digits are written.
     if before is None or not np.allclose(found["cost"], before["cost"], rtol=1e-5):
         raise ParameterError(
-            "known", name, "fares otherwise now, so that no row holds: evaluate all of them anew"
+            "known", name, "fares otherwise now, so that no row holds: evaluate all anew (--again)"
         )
 
 

@@ -61,7 +61,9 @@ class Evaluate:
                 on_progress=on_progress,
             )
         given: dict[str, Any] = json.loads(json.dumps(self.scenario.__dict__))
-        result["scenario_options"] = {key: value for key, value in given.items() if value}
+        result["scenario_options"] = {
+            key: value for key, value in given.items() if value not in (None, [])
+        }
         console.print(markdown(result), highlight=False, soft_wrap=True)
         file = self.output or (None if self.json else Path("out/evaluate") / f"{scenario.name}.json")
         if file is not None:

@@ -3,7 +3,8 @@
 On a linear plant the law that a learner converges to is a linear one, whose stationary cost is exact.
 Under a discount it solves a Riccati equation. Under gradients through windows it is where the expected
 gradient of a window's cost vanishes: an action at the window's start is judged by all of it, one at its
-end by nothing that comes after, and a policy that does not know where it stands gets the mean.
+end by nothing that comes after, and a policy that does not know where it stands gets the mean, weighed
+by the discount of its places.
 """
 
 from __future__ import annotations
@@ -65,11 +66,14 @@ def windowed_law(scenario: Scenario, window: int, discount: float) -> FloatArray
     for _ in range(ROUNDS):
         closed = p.F - p.G @ K
         stage = Q - S @ K - K.T @ S.T + K.T @ R @ K
-        to_go, total = np.zeros_like(Q), np.zeros_like(Q)
-        for _ in range(window):
-            total += to_go
+        to_go, total, weights = np.zeros_like(Q), np.zeros_like(Q), 0.0
+        for left in range(
+            window
+        ):  # periods that follow a place, whose own cost is discounted from the start
+            weight = discount ** (window - 1 - left)
+            total, weights = total + weight * to_go, weights + weight
             to_go = stage + discount * closed.T @ to_go @ closed
-        P = discount * total / window  # what follows an action, over its places in the window
+        P = discount * total / weights  # what follows an action, over its places in the window
         better = np.linalg.solve(R + p.G.T @ P @ p.G, p.G.T @ P @ p.F + S.T)
         change = np.max(np.abs(better - K)) / np.max(np.abs(K))
         K = better

@@ -23,16 +23,15 @@ from typing import Any
 
 import shake_env
 from agents import recipes
-from agents.checkpoint import checkpoints
 from agents.code_version import code_version
-from agents.config import TrainConfig, config_of, read_config
+from agents.config import config_of
 from agents.policy_file import load_policy
 from agents.progress import Progress
 from agents.recipe_judging import Judge, OutOfTimeError, PrunedError, Validation
 from agents.recipe_space import TRAIN_SEED, own_values, space, space_json, trial_config
 from agents.recipe_trace import Trace, TrialRow
 from agents.recipes import Recipe
-from agents.train import resume, train
+from agents.train import go_on
 from agents.tune import FAILED, VALIDATION_SEED
 from shake_env.errors import (
     ParameterError,
@@ -269,14 +268,21 @@ def _trial(
         tell(trial.number, told)
 
     try:
-        _go_on(config, run, report, search)
+        command = (
+            f"shake recipe-search {search.recipe.name} --share {search.share:g} --seed {search.seed}"
+        )
+        go_on(config, run, report=report, command=command)
         judge.report()
         found = validation.judge(load_policy(run / "policy.safetensors"))
     except PrunedError:
         found = None
-    except (ParameterError, ScenarioError, RunDirectoryError, PolicyFileError):
+    except (ParameterError, ScenarioError, RunDirectoryError):
         raise  # a mistake in what was asked, no property of the values
-    except (ValueError, ArithmeticError) as error:  # a network or a design that came to no numbers
+    except (
+        PolicyFileError,
+        ValueError,
+        ArithmeticError,
+    ) as error:  # a network or a design that came to no numbers
         if trial.user_attrs.get("recipe"):
             raise  # nor is this
         reason = (str(error) or "no reason told").splitlines()[0]
@@ -292,24 +298,6 @@ def _trial(
     # What is done is not gone on with, and a replay buffer is large.
     shutil.rmtree(run / "checkpoints", ignore_errors=True)
     tell(trial.number, None)
-
-
-def _go_on(config: TrainConfig, run: Path, report: Callable[[Progress], None], search: Search) -> None:
-    """Train a trial's run, or go on with it; one that was killed before a checkpoint begins anew."""
-    command = f"shake recipe-search {search.recipe.name} --share {search.share:g} --seed {search.seed}"
-    if (run / "config.json").exists() and read_config(run) != config:
-        remedy = "holds another configuration: move it away, or give another --folder"
-        raise RunDirectoryError("run directory", str(run), remedy)
-    if (run / "result.json").exists():
-        return
-    if run.exists() and not checkpoints(run):
-        shutil.rmtree(run)
-    if not run.exists():
-        train(config, run, report=report, command=command)
-        return
-    for left in (run / "checkpoints").glob(".partial-*"):
-        shutil.rmtree(left)
-    resume(run, report=report, command=command)
 
 
 def _standing(study: Any, total: int, until: float, number: int, told: Progress | None) -> Standing:

@@ -71,10 +71,11 @@ def markdown(result: dict[str, Any]) -> str:
     seed = "recorded" if result["seed"] is None else f"seeds from {result['seed']}"
     optimum = result["optimal_cost"]
     codes = dict.fromkeys(str(row["code"]) for row in result["rows"])
+    machines = dict.fromkeys(str(row["machine"]) for row in result["rows"])
     lines += [
         "",
         f"{len(result['earthquakes'])} earthquakes, {seed}; version {result['version']} "
-        f"({', '.join(codes)}), {result['machine']}."
+        f"({', '.join(codes)}), {'; '.join(machines)}."
         + ("" if optimum is None else f" J* = {optimum:.6g}."),
     ]
     return "\n".join(lines) + "\n"

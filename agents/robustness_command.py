@@ -159,7 +159,7 @@ def _identity(command: Robustness, options: ScenarioOptions) -> dict[str, Any]:
     scenario = options.build()
     controllers, sources, _ = controllers_of(command.controllers, scenario)
     grid = Grid.of(scenario, command.quantities, command.maps)
-    given = {key: value for key, value in options.__dict__.items() if value}
+    given = {key: value for key, value in options.__dict__.items() if value not in (None, ())}
     identity: dict[str, Any] = json.loads(
         json.dumps(
             {

@@ -114,7 +114,7 @@ def summary(
     }
     if optimum is not None:
         row["optimality"] = interval(lambda cost: float(cost.mean() / optimum), found.cost)
-    elif found is not yardstick:
+    elif found is not yardstick and reference.cost.mean() > yardstick.cost.mean():
         row["regret_closed"] = interval(_regret_closed, found.cost, reference.cost, yardstick.cost)
     for figure in MEANS:
         row[figure] = interval(_mean, found.figures[figure])

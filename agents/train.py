@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -19,7 +20,7 @@ from threadpoolctl import threadpool_limits
 import shake_env
 from agents.artificial import artificial_motions
 from agents.base_law import base_law
-from agents.checkpoint import load_checkpoint, save_checkpoint
+from agents.checkpoint import checkpoints, load_checkpoint, save_checkpoint
 from agents.code_version import code_version
 from agents.config import TrainConfig, read_config
 from agents.export import export_policy
@@ -31,7 +32,7 @@ from agents.sb3_vec_env import ShakeTableVecEnv
 from agents.training_view import example_figure
 from baselines.clairvoyant import clairvoyant
 from baselines.lqr import lqr
-from shake_env.errors import RunDirectoryError
+from shake_env.errors import RunDirectoryError, ScenarioError
 from shake_env.limits import Limits
 from shake_env.motion import FilteredNoise, MotionSet
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
@@ -51,7 +52,8 @@ class TrainResult:
     seconds: float
     cost_ratio: float
     cost: float
-    lqr_cost: float  # of the reference: LQR, or the clairvoyant where LQR is none (see _reference)
+    reference: str  # LQR, or the clairvoyant where LQR is none (see _reference)
+    reference_cost: float
     best_steps: int  # at which the policy that is kept was evaluated; its are the costs above
 
 
@@ -105,12 +107,47 @@ def resume(
     Raises
     ------
     RunDirectoryError
-        If the directory holds no run, or no readable checkpoint.
+        If the directory holds no run, or none of its checkpoints can be read.
     """
     config = read_config(run)
+    if not checkpoints(run) and not (run / "policy.safetensors").exists():
+        shutil.rmtree(run)  # interrupted before its first checkpoint: nothing is lost
+        return train(config, run, report=report, command=command)
     env = _tables(config, config.scenario.build())
     torch.set_num_threads(config.threads)
     return _run(load_checkpoint(run, config.algorithm, env), config, env, run, report, command)
+
+
+def go_on(
+    config: TrainConfig,
+    run: Path,
+    *,
+    report: Callable[[Progress], None] = lambda progress: None,
+    command: str | None = None,
+) -> None:
+    """Train a run, or go on with it, or do nothing where it is done; see :func:`train`.
+
+    Raises
+    ------
+    RunDirectoryError
+        If the directory holds another run, or something else.
+    """
+    if not (run / "config.json").exists():
+        if run.exists() and any(run.iterdir()):
+            raise RunDirectoryError("run directory", str(run), "holds no run: move it away")
+        if run.exists():
+            run.rmdir()
+        train(config, run, report=report, command=command)
+        return
+    if read_config(run) != config:
+        raise RunDirectoryError(
+            "run directory", str(run), "holds another configuration: move it away, or name another"
+        )
+    if (run / "result.json").exists():
+        return
+    for left in (run / "checkpoints").glob(".partial-*"):
+        shutil.rmtree(left)
+    resume(run, report=report, command=command)
 
 
 def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
@@ -119,6 +156,8 @@ def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
     if limits == Limits():  # the linear setting: only divergence ends an episode
         limits = Limits(state_limit=config.state_limit, cost_horizon=config.lookahead)
     motion = scenario.motion
+    if scenario.name == "records":
+        raise ScenarioError("scenario", "records", "is tested on: train on laboratory, the same table")
     if isinstance(motion, FilteredNoise):
         motion = replace(motion, duration=config.episode)
         if config.artificial:
@@ -171,7 +210,8 @@ class _Watch(BaseCallback):
         if config.artificial:
             others = artificial_motions(scenario, config.artificial, EVALUATION_SEED)
             self.earthquakes += [Earthquake(m.source.name, m) for m in others]
-        self.earthquakes, self.lqr_cost = _reference(self.scenario, self.earthquakes)
+        self.reference = "LQR" if lqr_suits(self.scenario) else "clairvoyant"
+        self.earthquakes, self.reference_cost = _reference(self.scenario, self.earthquakes)
         self.started = time.monotonic()
         self.saved = self.told = -np.inf
         self.passed = -1  # number of the last evaluation that was due
@@ -212,7 +252,7 @@ class _Watch(BaseCallback):
                 self.cost_ratio,
                 tuple(self.evaluations),
                 self.errors,
-                "LQR" if lqr_suits(self.scenario) else "clairvoyant",
+                self.reference,
             )
         )
 
@@ -221,12 +261,12 @@ class _Watch(BaseCallback):
         policy = export_policy(self.model, self.tables, {})
         metrics, found = rollout(policy, self.scenario, self.earthquakes, record=(0,))
         cost = float(np.mean([m.cost for m in metrics]))
-        self.cost_ratio = cost / self.lqr_cost
+        self.cost_ratio = cost / self.reference_cost
         self.evaluations.append(self.cost_ratio)
         acceleration = float(np.mean([m.acceleration_rms_error for m in metrics]))
         shear = float(np.mean([m.base_shear_rms_error for m in metrics]))
         self.errors = (acceleration, shear)
-        self.logger.record("evaluation/cost_relative_to_lqr", self.cost_ratio)
+        self.logger.record("evaluation/cost_ratio", self.cost_ratio)
         self.logger.record("evaluation/acceleration_rms_error", acceleration)
         self.logger.record("evaluation/base_shear_rms_error", shear)
         title = f"{metrics[0].earthquake} after {self.model.num_timesteps} control periods"
@@ -283,6 +323,7 @@ def _run(
     report: Callable[[Progress], None],
     command: str | None,
 ) -> TrainResult:
+    code = code_version()  # that runs, not that ends
     model.set_logger(configure(str(run / "tensorboard"), ["tensorboard"]))
     with threadpool_limits(config.threads):
         watch = _Watch(config, env, run, report)
@@ -300,8 +341,9 @@ def _run(
         steps=model.num_timesteps,
         seconds=time.monotonic() - watch.started,
         cost_ratio=best,
-        cost=best * watch.lqr_cost,
-        lqr_cost=watch.lqr_cost,
+        cost=best * watch.reference_cost,
+        reference=watch.reference,
+        reference_cost=watch.reference_cost,
         best_steps=int(best_steps),
     )
     card = {
@@ -309,7 +351,7 @@ def _run(
         "config": config.to_json(),
         "command": command or shlex.join(["shake", *sys.argv[1:]]),
         "version": shake_env.__version__,
-        "code": code_version(),
+        "code": code,
         "evaluation": {key: value for key, value in asdict(result).items() if key != "run"},
         "curve": _curve(run),
     }

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -100,7 +101,9 @@ def tune(
     def cost(values: dict[str, float]) -> float:
         return mean_cost(lambda: candidate.make(scenario, *quakes, **values), scenario, motions)
 
-    study = f"{scenario.name}/{name}/{seed}/{earthquakes}"
+    # Another scenario of that name, or other ranges, are another search.
+    identity = zlib.crc32(repr((scenario, tunable)).encode())
+    study = f"{scenario.name}/{name}/{seed}/{earthquakes}/{identity:08x}"
     found = search(cost, tunable, storage, study, total, seed, on_trial, starts)
     return Tuning(
         name, scenario.name, found.parameters, found.cost, found.default_cost,

@@ -12,6 +12,7 @@ from rich.console import Console
 from agents.options import ScenarioOptions
 from agents.progress import progress_bar
 from baselines.catalogue import BASELINES
+from shake_env import make_scenario
 from shake_env.errors import NumericalError, ParameterError, ScenarioError
 from shake_env.scenario import Scenario
 
@@ -47,6 +48,12 @@ class Tune:
     def run(self, console: Console) -> dict[str, Any]:
         """Search with a progress bar, and print what was found."""
         scenario = self.scenario.build()
+        if self.keep is not None and scenario != make_scenario(scenario.name):
+            raise ParameterError(
+                "keep",
+                str(self.keep),
+                f"holds what suits {scenario.name} as it stands, not as changed here",
+            )
         if self.controller != ALL:
             return self._tune(self.controller, scenario, console)
         found = {}

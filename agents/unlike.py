@@ -139,7 +139,7 @@ def changed(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
         new["specimen"] = Specimen.uniform(**now, table_mass=mass)
     if "coulomb_friction" in own:
         parts = scenario.nonlinearity
-        friction = replace(parts.friction, coulomb=own["coulomb_friction"])
+        friction = parts.friction.at(own["coulomb_friction"])
         new["nonlinearity"] = replace(parts, friction=friction)
     if "delay" in own:
         new["delay"] = 1e-3 * own["delay"] / scenario.physics_step

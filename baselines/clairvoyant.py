@@ -142,7 +142,7 @@ def clairvoyant(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[
     """
     seen = seen_through(scenario)
     plants = true_plants(seen, earthquakes)
-    parts = scenario.nonlinearity
+    parts = scenario.parts
     if parts.friction.active or parts.valve.flow_active:
         # Without the ground's high-pass there is no place that a table could be held in.
         position = FRICTION_POSITION if seen.ground.states == 4 else None

@@ -2,7 +2,7 @@
 
 Each lane (table) of a batch has a motion and a random stream of its own. Blocks of control periods are
 filled for all lanes at once, whatever their place in their episodes; the lanes share one cursor, so
-that a step reads one contiguous slice. Memory is the block's, never the episode's.
+that a step reads one contiguous slice. Memory is the block's, and an envelope's where motions have one.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from shake_env import nonlinear_dynamics
+from shake_env.compilation import compiled_module
 from shake_env.discretization import DiscretePlant
 from shake_env.errors import ParameterError
 from shake_env.ground import GroundMaps, GroundPeriod, IntArray, Rows, filter_state
@@ -50,20 +50,6 @@ def control_steps(motion: EpisodeMotion, period: float, physics_step: float) -> 
     if steps < 1:
         raise ParameterError("duration", duration, f"must hold at least one control period ({period} s)")
     return steps
-
-
-def _compiled() -> Any:
-    """Return `ground_kernel`, or None where it is switched off or numba is not there."""
-    return _load_kernel() if nonlinear_dynamics.COMPILED else None
-
-
-@lru_cache(maxsize=1)
-def _load_kernel() -> Any:
-    try:
-        from shake_env import ground_kernel
-    except (ImportError, RuntimeError):  # no numba, or no folder to keep its work in
-        return None
-    return ground_kernel
 
 
 def _stacked(matrix: FloatArray) -> FloatArray:
@@ -178,7 +164,8 @@ class Excitation:
         self._cursor = 0
         self._store, self._spare = self._spare, self._store
         self._store[: self._ahead] = self._spare[BLOCK_STEPS:]
-        self._fill([lane for lane in self._normals.lanes if lane not in without], self._ahead)
+        others = set(self._normals.lanes).difference(without)
+        self._fill(sorted(others), self._ahead)
 
     def _preview(
         self, store: FloatArray, row: int, lanes: IntArray | slice = slice(None)
@@ -208,8 +195,13 @@ class Excitation:
         """Note what shapes the noise of a lane's motion."""
         envelope = motion.envelope if isinstance(motion, FilteredNoise) else None
         if envelope not in self._envelopes:
-            self._envelopes.append(envelope)
-            self._intensity.append(np.ones(0))
+            # In the place of one that no lane has any more, so that their number stays the lanes'.
+            used = {0, *np.delete(self._kind, lane).tolist()}
+            kind = next(i for i in range(len(used) + 1) if i not in used)
+            if kind == len(self._envelopes):
+                self._envelopes.append(None)
+                self._intensity.append(np.ones(0))
+            self._envelopes[kind], self._intensity[kind] = envelope, np.ones(0)
         self._kind[lane], self._amplitude[lane] = self._envelopes.index(envelope), motion.amplitude
 
     def _shapes(self, lanes: IntArray, steps: int) -> tuple[FloatArray, IntArray]:
@@ -244,7 +236,7 @@ class Excitation:
         drawn = self._noise.reshape(len(self._noise), -1)[: len(lanes), : steps * self._draws]
         self._normals.fill(lanes.tolist(), drawn)
         amplitude = self._amplitude[lanes]
-        kernel = _compiled()
+        kernel = compiled_module("ground_kernel")
         if kernel is not None:
             maps = _stacked(self.maps.noise)
             kernel.run_filter(
@@ -268,7 +260,7 @@ class Excitation:
     def _run_records(self, lanes: IntArray, first: int) -> None:
         k, dt, rows = self._discrete.substeps, self._discrete.dt, self._rows
         steps = self._length - first
-        samples = np.zeros((len(lanes), steps * k + 1))  # past its end a record is at rest: never read
+        samples = np.zeros((len(lanes), steps * k + 1))  # past the motion's end 0, which a preview shows
         states = np.zeros((len(lanes), steps, rows.ground))
         for row, lane in enumerate(lanes):
             motion = self._motions[lane]
@@ -278,7 +270,7 @@ class Excitation:
             samples[row, : len(part)] = part
             ends = _filter_history(self._discrete.plant.ground, motion, dt)[begin + k :: k][:steps]
             states[row, : len(ends)] = ends
-        kernel = _compiled()
+        kernel = compiled_module("ground_kernel")
         if kernel is not None:
             maps = _stacked(self.maps.record)
             kernel.run_records(self._store, samples, states, self._tail, maps, lanes, first)
@@ -301,7 +293,7 @@ class Excitation:
         """Put the yielding reference in the place of the linear one."""
         assert self.maps.yielding is not None  # the caller asked
         k, n = self._discrete.substeps, self._discrete.layout.stories
-        at, kernel = self._exogenous, _compiled()
+        at, kernel = self._exogenous, compiled_module("ground_kernel")
         if kernel is not None:
             whole = self.maps.yielding
             parts = (whole.A, whole.ground, whole.ground_next, whole.level)

@@ -83,7 +83,7 @@ class Fleet:
         plant = CoupledPlant(
             actuator, stacked([true.specimen for true in drawn]), scenario.ground, scenario.equations
         )
-        parts, step, k = scenario.nonlinearity, scenario.physics_step, scenario.substeps
+        parts, step, k = scenario.parts, scenario.physics_step, scenario.substeps
         dynamics = NonlinearDynamics.of(plant, parts, step, k, longest_delay=scenario.longest_delay)
         commands = commands_under_way(scenario.longest_delay, k)
         own = {

@@ -6,14 +6,12 @@ those of the exact zero- and first-order hold. With g = 0 it is the exact linear
 
 Written against the array API, for numpy and torch. Where numba is installed, float64 numpy arrays go
 through the same equations compiled (`shake_env.compiled`), equal to rounding; the environment variable
-``SHAKE_ENV_COMPILED=0``, or :data:`COMPILED` set to False, keeps them here.
+``SHAKE_ENV_COMPILED=0``, or :data:`compilation.COMPILED` set to False, keeps them here.
 """
 
 from __future__ import annotations
 
 import math
-import os
-import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -21,6 +19,8 @@ from typing import TYPE_CHECKING, Any
 import array_api_compat
 import numpy as np
 
+from shake_env import compilation
+from shake_env.compilation import compiled_module
 from shake_env.discretization import first_order_hold
 from shake_env.dynamics import PeriodResponse, as_like
 from shake_env.errors import ScenarioError
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
 Array = Any  # a numpy array or a torch tensor
 
-COMPILED = os.environ.get("SHAKE_ENV_COMPILED", "1") != "0"  # whether numba is used where it is there
 
 ARRAYS = ("advance", "slope", "C", "D", "spool_rate", "coulomb", "arrival")
 FLOW, FORCE, SPOOL_RATE = range(3)  # columns of N: [m] spool, [N] on the table, [m/s] spool; then slips
@@ -216,15 +215,12 @@ class NonlinearDynamics:
 
     @cached_property
     def _compiled(self) -> CompiledStep | None:
-        try:
-            from shake_env.compiled import CompiledStep  # numba is an extra, and half a second to import
-        except ImportError:
-            return None
-        except RuntimeError as problem:  # numba found no folder to keep its work in
-            warn_uncompiled(problem)
+        compiled = compiled_module("compiled")
+        if compiled is None:
             return None
         matrices = {name: getattr(self, name) for name in ARRAYS}
-        return CompiledStep.of(self.parts, self.stories, matrices)
+        step: CompiledStep = compiled.CompiledStep.of(self.parts, self.stories, matrices)
+        return step
 
     def nonlinear(self, state: Array, current: Array) -> Array:
         """Return g, (..., 3 or 3 + stories): what the linear plant leaves out, in :data:`FLOW` order."""
@@ -279,7 +275,7 @@ class NonlinearDynamics:
         drive
             None: with the corrected equations the table feels the current only.
         """
-        if COMPILED and type(state) is np.ndarray:
+        if compilation.COMPILED and type(state) is np.ndarray:
             step = self._compiled
             if step is not None and step.fits(state, current):
                 return PeriodResponse(*step(state, current))
@@ -304,16 +300,6 @@ class NonlinearDynamics:
             state = xp.concat([state, queue[..., 1:]], axis=-1)
         both = xp.stack(outputs, axis=-2)
         return PeriodResponse(state, both[..., 0], both[..., 1])
-
-
-def warn_uncompiled(problem: Exception) -> None:
-    """Warn that numba is there and cannot be used."""
-    warnings.warn(
-        f"tables step uncompiled, several times slower: {problem}. Set NUMBA_CACHE_DIR to a "
-        "folder that can be written, or SHAKE_ENV_COMPILED=0",
-        RuntimeWarning,
-        stacklevel=3,
-    )
 
 
 def commands_under_way(delay: float, substeps: int) -> int:

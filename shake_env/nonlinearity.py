@@ -9,7 +9,7 @@ with an infinite yield drift to rounding, for the slips stay in the sums as zero
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import array_api_compat
@@ -52,6 +52,11 @@ class Friction:
     def active(self) -> bool:
         """Whether there is any friction."""
         return self.coulomb > 0.0 or (self.static or 0.0) > 0.0 or self.viscous > 0.0
+
+    def at(self, coulomb: float) -> Friction:
+        """Return this friction at another Coulomb force [N]; what sticking adds to it stays."""
+        static = None if self.static is None else coulomb + (self.static - self.coulomb)
+        return replace(self, coulomb=coulomb, static=static)
 
     def force(self, velocity: Array, coulomb: Array | None = None) -> Array:
         """Return the force on the table [N], (...), for its velocity (...) [m/s].
@@ -230,6 +235,12 @@ class Nonlinearity:
     valve: ServoValve = field(default_factory=ServoValve)
     stops: StrokeStops = field(default_factory=StrokeStops)
     yielding: Yielding = field(default_factory=Yielding)
+
+    def __post_init__(self) -> None:
+        kinds = (Friction, ServoValve, StrokeStops, Yielding)
+        for each, kind in zip(fields(self), kinds, strict=True):
+            if not isinstance(getattr(self, each.name), kind):
+                raise ParameterError(each.name, getattr(self, each.name), f"must be a {kind.__name__}")
 
     @property
     def active(self) -> bool:

@@ -30,15 +30,18 @@ IntArray = NDArray[np.int64]
 def tables() -> tuple[Raw, FloatArray, FloatArray]:
     """Return numpy's own tables (256,): bounds of a sure hit, widths of layers, heights of the density.
 
-    They are read off numpy, by a generator whose next raw numbers are set, so that they are those of the
-    numpy that is installed: written anew from the definition, every other would differ in its last bit.
+    Bounds and widths are read off numpy, by a generator whose next raw numbers are set: written anew
+    from the definition, every other would differ in its last bit. The heights are computed; their last
+    bit decides over one number in some 1e16.
     """
     generator = np.random.Generator(np.random.Philox(0))
     state: Any = generator.bit_generator.state
 
     def normal(raw: int) -> tuple[float, bool]:
         """Return the number that comes of a raw one, and whether it needed no other."""
-        state["buffer"][:] = raw, 0, 0, 0
+        # With these behind it, a number beyond the layers is taken at once, and one between a box and
+        # the density, too: both have read further.
+        state["buffer"][:] = raw, 0, (1 << 64) - 1, 0
         state["buffer_pos"] = 0
         generator.bit_generator.state = state
         return generator.standard_normal(), generator.bit_generator.state["buffer_pos"] == 1
@@ -56,6 +59,8 @@ def tables() -> tuple[Raw, FloatArray, FloatArray]:
                 low = middle + 1
             else:
                 high = middle
+        if low == guess + 64:
+            raise RuntimeError(f"layer {layer} of numpy's normal numbers is not where it was looked for")
         bounds[layer] = low
     heights = np.exp(-0.5 * (MANTISSA * widths) ** 2)
     heights[0] = 1.0
@@ -167,7 +172,10 @@ def convert(
 @lru_cache(maxsize=1)
 def numpys() -> tuple[Raw, FloatArray, FloatArray] | None:
     """Return the tables, or None where another numpy makes its numbers in another way."""
-    found = tables()
+    try:
+        found = tables()
+    except RuntimeError:
+        return None
     wanted = np.random.Generator(np.random.PCG64(0)).standard_normal((1, 4096))
     raw = np.random.PCG64(0).random_raw((1, 4500))
     out, held = np.empty((1, 4096)), np.zeros(1, dtype=np.int64)

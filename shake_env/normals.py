@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shake_env import nonlinear_dynamics
+from shake_env.compilation import compiled_module
 from shake_env.parameters import FloatArray
 
 FEW = 4  # streams whose own method is as fast
@@ -18,15 +17,7 @@ CHUNK = 64  # streams side by side: their raw numbers stay in the second-level c
 KEPT = 64  # raw numbers of a stream that may be left for the next time
 # Of a hundred numbers one or two need a second raw one, so that this many more nearly always reach.
 SPARE_SHARE, SPARE = 32, 24
-
-
-@lru_cache(maxsize=1)
-def _load_kernel() -> Any:
-    try:
-        from shake_env import normal_kernel
-    except (ImportError, RuntimeError):  # no numba, or no folder to keep its work in
-        return None
-    return normal_kernel if normal_kernel.numpys() is not None else None
+MOST = 1024  # numbers of a stream at a time, for which what may be left suffices
 
 
 class Normals:
@@ -58,16 +49,17 @@ class Normals:
 
     def fill(self, lanes: Sequence[int], out: FloatArray) -> None:
         """Write the next numbers of some lanes' streams, which they have, to `out` (n, count)."""
-        many = len(lanes) >= FEW and nonlinear_dynamics.COMPILED
-        kernel = _load_kernel() if many else None
-        if kernel is None or not all(_suits(self._streams[lane]) for lane in lanes):
+        kernel = compiled_module("normal_kernel") if len(lanes) >= FEW else None
+        suits = kernel is not None and kernel.numpys() is not None
+        if not (suits and all(_suits(self._streams[lane]) for lane in lanes)):
             for lane, row in zip(lanes, out, strict=True):
                 self._own(lane).standard_normal(out=row)
             return
         index = np.asarray(lanes)
         for start in range(0, len(lanes), CHUNK):
             part = slice(start, start + CHUNK)
-            self._convert(kernel, index[part], out[part])
+            for first in range(0, out.shape[1], MOST):
+                self._convert(kernel, index[part], out[part, first : first + MOST])
 
     def _own(self, lane: int) -> np.random.Generator:
         """Return a lane's stream at the number that comes next."""

@@ -105,8 +105,6 @@ def make_scenario(scenario: str | Scenario = "linear", overrides: Overrides | No
     if any(name in given for name in _WEIGHTS):
         weights = {name: given[name] for name in _WEIGHTS if name in given}
         changes["objective"] = replace(scenario.objective, **weights)
-    if "record" in given or any(name in given for name in _MOTION):
-        changes["motion"] = _changed_motion(scenario, given)
     if "highpass_frequency" in given:
         changes["ground"] = replace(scenario.ground, highpass_frequency=given["highpass_frequency"])
     if "equations" in given:
@@ -118,8 +116,11 @@ def make_scenario(scenario: str | Scenario = "linear", overrides: Overrides | No
     if "sensing" in given:
         sensing = given["sensing"]
         changes["sensing"] = sensing if isinstance(sensing, Sensing) else Sensing.named(str(sensing))
-    changed: Scenario = with_fields(replace(scenario, **changes), given.get("fields", {}))
-    return changed
+    changed = replace(scenario, **changes)
+    if "record" in given or any(name in given for name in _MOTION):
+        changed = replace(changed, motion=_changed_motion(changed, given))
+    final: Scenario = with_fields(changed, given.get("fields", {}))
+    return final
 
 
 def _exclusive(given: dict[str, Any], whole: str, parts: tuple[str, ...]) -> None:
@@ -151,4 +152,5 @@ def _record(scenario: Scenario, record: Any, changes: dict[str, Any]) -> Recorde
     if scenario.limits.table_displacement is None:
         return RecordedMotion(record=record, amplitude=scenario.motion.amplitude, **changes)
     capacity = TableCapacity.of(scenario.actuator, scenario.specimen)
-    return fit_amplitude(RecordedMotion(record=record, **changes), capacity).motion
+    motion = RecordedMotion(record=record, **changes)
+    return fit_amplitude(motion, capacity, physics_step=scenario.physics_step).motion

@@ -128,6 +128,8 @@ def pack(
     for place, width in zip((RESPONSE, FLOOR_ROW, FILTERED, ACTION, PAST, ROWS), widths, strict=True):
         row += width
         p[place] = row
+    if (len(parts), len(switches)) != (PARTS, SWITCHES):
+        raise AssertionError(f"{len(parts)} scalars, {len(switches)} switches: see block_kernel")
     scales = (
         model.observation_scale, measured.follow, measured.resolution, measured.rounded, measured.scale,
     )  # fmt: skip

@@ -24,7 +24,7 @@ from shake_env.parameters import (
     require_positive,
 )
 from shake_env.plant import REFERENCE_CURRENT, CoupledPlant
-from shake_env.sensing import ObservationLayout, Sensing, check_sensing
+from shake_env.sensing import ObservationLayout, Sensing
 from shake_env.uncertainty import Uncertainty
 
 _KINDS: tuple[tuple[str, type | tuple[type, ...]], ...] = (
@@ -98,8 +98,26 @@ class Scenario:
                 f"its period is {ratio:.6g} physics steps of {self.physics_step} s and must be a whole "
                 f"number of them: try {nearest:.6g} Hz",
             )
-        check_sensing(self.sensing, self.control_period, self.physics_step)
+        self._check_equations()
+        self.sensing.preview_steps(self.control_period, self.physics_step)
         check_directions("noise_directions", self.noise_directions)
+
+    def _check_equations(self) -> None:
+        asked = {
+            "nonlinearity": self.nonlinearity.active,
+            "delay": bool(self.delay),
+            "uncertainty": self.uncertainty.active,
+        }
+        if self.equations != ModelEquations() and any(asked.values()):
+            name = next(name for name, given in asked.items() if given)
+            raise ScenarioError(name, getattr(self, name), 'needs equations="corrected"')
+        valve = self.nonlinearity.valve
+        if self.uncertainty.valve_time_constant and valve.natural_frequency is not None:
+            raise ScenarioError(
+                "uncertainty.valve_time_constant",
+                self.uncertainty.valve_time_constant,
+                "a valve with a natural frequency has no time constant: leave one of them out",
+            )
 
     def drawn(self, stream: np.random.Generator) -> Scenario:
         """Return this scenario with a true plant drawn from its uncertainty."""
@@ -114,11 +132,19 @@ class Scenario:
         if actuator:
             changes["actuator"] = replace(self.actuator, **actuator)
         if "coulomb_friction" in values:
-            friction = replace(self.nonlinearity.friction, coulomb=values["coulomb_friction"])
+            friction = self.nonlinearity.friction.at(values["coulomb_friction"])
             changes["nonlinearity"] = replace(self.nonlinearity, friction=friction)
         if "delay" in values:
             changes["delay"] = round(values["delay"])
         return replace(self, **changes)
+
+    @property
+    def parts(self) -> Nonlinearity:
+        """The nonlinear parts of the tables that are stepped: friction also where it is only drawn."""
+        friction, drawn = self.nonlinearity.friction, self.uncertainty.coulomb_friction
+        if drawn is None or friction.active:
+            return self.nonlinearity
+        return replace(self.nonlinearity, friction=friction.at(drawn.high))
 
     @property
     def longest_delay(self) -> float:

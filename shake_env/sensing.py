@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from shake_env.errors import ParameterError, unknown
-from shake_env.parameters import FloatArray, is_number, require_non_negative, require_positive
+from shake_env.parameters import FloatArray, require_non_negative, require_positive
 from shake_env.plant import (
     LOAD_PRESSURE,
     SPOOL_POSITION,
@@ -88,6 +88,8 @@ class Sensing:
 
     def __post_init__(self) -> None:
         require_non_negative(self, "preview")
+        if not isinstance(self.last_action, bool | np.bool_):
+            raise ParameterError("last_action", self.last_action, "must be True or False")
         if self.preview_spacing is not None:
             require_positive(self, "preview_spacing")
         whole = isinstance(self.history, int | np.integer) and not isinstance(self.history, bool)
@@ -100,6 +102,9 @@ class Sensing:
                 )
             return
         object.__setattr__(self, "sensors", tuple(self.sensors))
+        for sensor in self.sensors:
+            if not isinstance(sensor, Sensor):
+                raise ParameterError("sensors", sensor, "must be Sensor values: Sensor(signal=...)")
         signals = [sensor.signal for sensor in self.sensors]
         if not signals or len(set(signals)) != len(signals):
             raise ParameterError("sensors", signals, "name at least one signal, and each once")
@@ -166,7 +171,7 @@ class Sensing:
 
 def _whole(field: str, value: float, unit: float, what: str) -> int:
     ratio = value / unit
-    nearest = round(ratio)
+    nearest = max(round(ratio), 0 if field == "preview" else 1)
     if not math.isclose(ratio, nearest, rel_tol=1e-9, abs_tol=1e-9):
         raise ParameterError(
             field,
@@ -174,13 +179,6 @@ def _whole(field: str, value: float, unit: float, what: str) -> int:
             f"must be a whole number of {what} of {unit:.6g} s: try {nearest * unit:.6g}",
         )
     return nearest
-
-
-def check_sensing(sensing: Sensing, control_period: float, physics_step: float) -> None:
-    """Raise ParameterError unless the preview's samples lie on physics steps."""
-    if not is_number(sensing.preview):
-        raise ParameterError("preview", sensing.preview, "must be a time [s]")
-    sensing.preview_steps(control_period, physics_step)
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from shake_env import nonlinear_dynamics
+from shake_env.compilation import compiled_module
 from shake_env.errors import ActionError
 from shake_env.excitation import Excitation, control_steps
 from shake_env.fleet import Fleet
@@ -105,16 +105,17 @@ class Simulation:
 
     def _fuse(self, preview: tuple[int, int]) -> FusedTables | None:
         """Return the tables as the compiled step holds them, or None where there is none."""
-        engine = compiled_engine()
+        engine = compiled_module("engine")
         if engine is None:
             return None
-        return engine(
+        tables: FusedTables = engine.FusedTables(
             self.model,
             self.lanes,
             limit_rate=self._limit_rate,
             limit_steps=self._limit_steps,
             preview=preview,
         )
+        return tables
 
     @property
     def state(self) -> FloatArray:
@@ -187,19 +188,21 @@ class Simulation:
         """
         given = [self.scenario.motion] * len(lanes) if motions is None else motions
         chosen = [motion.pick(stream) for motion, stream in zip(given, streams, strict=True)]
+        period, physics_step = self.scenario.control_period, self.scenario.physics_step
+        # First what may be refused: the tables then are what they were.
+        steps = [control_steps(motion, period, physics_step) for motion in chosen]
         if self.fleet is not None:
             self.fleet.draw(lanes, streams)
             if self._fused is not None:
                 self._fused.redrawn(lanes)
         ground = self.excitation.start(lanes, chosen, streams)
-        period, physics_step = self.scenario.control_period, self.scenario.physics_step
         index = np.asarray(lanes, dtype=int)
         # A new array: the old one is the state of the last step's result, which a caller may hold.
         state = self.state.copy()
         state[index] = 0.0
         self.state = state
         self.step_count[index] = 0
-        self.episode_steps[index] = [control_steps(m, period, physics_step) for m in chosen]
+        self.episode_steps[index] = steps
         # A weak motion lowers what standing still costs, but not what braking a fast table does.
         self._severity[index] = [max(1.0, m.amplitude**2) for m in chosen]
         return _observation(self._first_look(index, ground, streams))
@@ -335,23 +338,6 @@ def step_report(result: StepResult) -> tuple[FloatArray, ...]:
         result.limit_cost,
         outcome.soft_cost,
     )
-
-
-@lru_cache(maxsize=1)
-def _load_engine() -> type[FusedTables] | None:
-    try:
-        from shake_env.engine import FusedTables  # numba is an extra, and half a second to import
-    except ImportError:
-        return None
-    except RuntimeError as problem:  # numba found no folder to keep its work in
-        nonlinear_dynamics.warn_uncompiled(problem)
-        return None
-    return FusedTables
-
-
-def compiled_engine() -> type[FusedTables] | None:
-    """Return the compiled tables, or None where they are switched off or numba is not there."""
-    return _load_engine() if nonlinear_dynamics.COMPILED else None
 
 
 def _observation(scaled: FloatArray) -> NDArray[np.float32]:

@@ -68,11 +68,6 @@ class Interventions:
     largest: FloatArray  # (N,) largest change of a finite command [-] of the current limit
 
     @property
-    def lane_shares(self) -> FloatArray:
-        """Share of commands changed, (N,)."""
-        return np.asarray(self.acted / np.maximum(self.steps, 1))
-
-    @property
     def share(self) -> float:
         """Share of commands changed, over all tables."""
         return float(self.acted.sum() / max(int(self.steps.sum()), 1))

@@ -223,7 +223,7 @@ def dynamics_of(scenario: Scenario) -> TableDynamics | NonlinearDynamics:
     if scenario.nonlinearity.active or scenario.delay or scenario.uncertainty.active:
         return NonlinearDynamics.of(
             scenario.plant,
-            scenario.nonlinearity,
+            scenario.parts,
             scenario.physics_step,
             scenario.substeps,
             delay=scenario.delay,

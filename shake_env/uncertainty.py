@@ -55,6 +55,11 @@ class Uncertainty:
     coulomb_friction: Uniform | None = None  # [N]
     delay: Uniform | None = None  # [physics steps], rounded
 
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if value is not None and not isinstance(value, Uniform):
+                raise ParameterError(name, value, "must be a Uniform(low, high), or None")
+
     @property
     def active(self) -> bool:
         """Whether anything is drawn."""

@@ -1,6 +1,5 @@
 """The compiled adjoint of a control period against torch's differentiation of the readable update."""
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,7 @@ from test_compiled import EVERYTHING, PARTS, dynamics_of, scale_of
 from agents.sb3_vec_env import ShakeTableVecEnv
 from agents.torch_plant import CompiledPeriod, torch_model
 from agents.torch_tables import TorchTables
-from shake_env import make_scenario, nonlinear_dynamics
+from shake_env import compilation, make_scenario
 from shake_env.block_kernel import BLOCK
 from shake_env.nonlinear_dynamics import NonlinearDynamics
 from shake_env.nonlinearity import Yielding
@@ -138,7 +137,7 @@ def test_a_window_through_the_compiled_plant_is_the_references(name, overrides, 
     start = env.snapshot()
 
     def window(compiled):
-        monkeypatch.setattr(nonlinear_dynamics, "COMPILED", compiled)
+        monkeypatch.setattr(compilation, "COMPILED", compiled)
         env.restore(start)
         tables = TorchTables(env)
         assert isinstance(tables.model.dynamics, CompiledPeriod) == compiled
@@ -161,7 +160,7 @@ def test_without_numba_in_single_precision_or_elsewhere_torch_takes_the_update_a
     for other in (LIKE.float(), LIKE.to("meta")):
         assert CompiledPeriod.of(model.dynamics, other) is None
     assert isinstance(torch_model(model, LIKE.float()).dynamics, NonlinearDynamics)
-    monkeypatch.setitem(sys.modules, "shake_env.compiled", None)
+    monkeypatch.setattr(compilation, "_load", lambda name: None)
     fresh = replace(model, dynamics=replace(model.dynamics))
     assert isinstance(torch_model(fresh, LIKE).dynamics, NonlinearDynamics)
 

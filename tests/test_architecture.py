@@ -12,7 +12,7 @@ DRAWING = {"matplotlib", "rich", "tyro"}
 GYMNASIUM = {"__init__.py", "env.py", "vector_env.py", "rendering.py"}
 # Within shake_env, lowest first: a module imports from lower ranks only, or its own where listed.
 LAYERS = [
-    {"errors", "controller"},
+    {"errors", "controller", "compilation"},
     {"parameters"},
     {"plant", "records"},
     {"discretization", "motion", "objective", "limits", "nonlinearity", "sensing", "uncertainty"},

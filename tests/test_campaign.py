@@ -17,13 +17,13 @@ from agents.campaign_results import evaluate_arena
 from agents.checkpoint import checkpoints
 from agents.config import TrainConfig
 from agents.estimated_law import EstimatedLaw
-from agents.evaluate import contestant
+from agents.evaluate import contestant, evaluate
 from agents.models import ALGORITHMS
 from agents.options import ScenarioOptions
 from agents.policy_file import load_policy
 from agents.recipes import ARENAS, RECIPES, Arena, Recipe
-from agents.train import train
-from shake_env.errors import ParameterError, ScenarioError
+from agents.train import go_on, resume, train
+from shake_env.errors import ParameterError, RunDirectoryError, ScenarioError
 
 SMALL = TrainConfig(
     ppo=PPOOptions(tables=4, rollout_steps=16, batch_size=64, epochs=1),
@@ -128,12 +128,49 @@ def test_an_evaluation_holds_until_its_policies_change(campaigned, tmp_path):
         assert later["episodes"][name] == result["episodes"][name]
     assert after["lqr"]["relative_cost"] == before["lqr"]["relative_cost"]
 
-    # But not where the reference fares otherwise now.
+    # Fewer others do not take the place of a row, and nothing stays of what was asked otherwise, or of
+    # what was held against a reference that fares otherwise now.
+    fewer = later["identity"]["rows"]["ppo"]
+    later["identity"]["rows"]["sac"] = ["0" * 64, "1" * 64]
+    file.write_text(json.dumps(later))
+    with pytest.raises(ParameterError, match="1 lie here, others than the 2"):
+        evaluate_arena(arena, folder, tmp_path / "results")
+    later["identity"]["rows"] = {"ppo": fewer}
+    later["episodes"]["lqr"]["cost"][0][0] *= 1.01
+    file.write_text(json.dumps(later))
+    with pytest.raises(ParameterError, match="fares otherwise now"):
+        evaluate_arena(arena, folder, tmp_path / "results")
     other = replace(arena, options=ScenarioOptions(duration=1.0, set=("objective.force_weight=2",)))
-    (folder / "linear/sac").rename(folder / "linear/td3")
-    with pytest.raises(ParameterError, match="evaluate all of them anew"):
+    with pytest.raises(ParameterError, match="no result of linear as it is asked for now"):
         evaluate_arena(other, folder, tmp_path / "results")
     assert evaluate_arena(other, folder, tmp_path / "results", again=True)[2]
+
+
+def test_a_run_of_another_version_is_foreign_and_never_touched(tmp_path):
+    run = tmp_path / "linear/ppo/0"
+    run.mkdir(parents=True)
+    (run / "config.json").write_text(json.dumps({**SMALL.to_json(), "an_option_of_then": 1}))
+    (run / "policy.safetensors").write_bytes(b"weights")
+    (task,) = plan([GOOD], tmp_path)
+    assert task.state == "foreign"
+    with pytest.raises(RunDirectoryError):
+        go_on(SMALL, run)
+    assert (run / "policy.safetensors").read_bytes() == b"weights"
+
+
+def test_a_run_that_was_interrupted_before_its_first_checkpoint_begins_anew(tmp_path):
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "config.json").write_text(json.dumps(SMALL.to_json()))
+    assert resume(run).steps == SMALL.steps
+    assert (run / "policy.safetensors").exists()
+
+
+def test_policies_cannot_take_a_controllers_name(campaigned):
+    scenario = ScenarioOptions(duration=0.5).build()
+    row = contestant(f"lqr={campaigned[0] / 'linear/ppo/0'}", scenario)
+    with pytest.raises(ParameterError, match="NAME=PATH"):
+        evaluate(scenario, [row], earthquakes=2)
 
 
 def test_a_worker_whose_campaign_is_gone_ends(tmp_path):

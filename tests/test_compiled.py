@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shake_env import make_scenario, nonlinear_dynamics
+from shake_env import compilation, make_scenario
 from shake_env.block_kernel import BLOCK, expm1, tanh
 from shake_env.nonlinear_dynamics import ARRAYS, NonlinearDynamics, controlled_scale
 from shake_env.nonlinearity import Friction, Nonlinearity, ServoValve, StrokeStops, Yielding
@@ -89,7 +89,7 @@ def both(dynamics, state, current):
     assert dynamics._compiled is not None and dynamics._compiled.fits(state, current)
     compiled = dynamics.control_step(state, current)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(nonlinear_dynamics, "COMPILED", False)
+        patch.setattr(compilation, "COMPILED", False)
         return compiled, dynamics.control_step(state, current)
 
 
@@ -251,9 +251,26 @@ def test_numba_is_imported_only_for_a_nonlinear_step():
         assert found.stdout.strip() == expected
 
 
-def test_without_numba_the_reference_steps(monkeypatch):
+@pytest.fixture
+def fresh_loader():
+    """Modules are looked for anew, here and after."""
+    compilation._load.cache_clear()
+    yield
+    compilation._load.cache_clear()
+
+
+def test_without_numba_the_reference_steps(monkeypatch, fresh_loader):
     monkeypatch.setitem(sys.modules, "shake_env.compiled", None)
     dynamics = dynamics_of(EVERYTHING, 2, 5, 2)
     response = dynamics.control_step(np.zeros((2, dynamics.states)), np.full(2, 0.01))
     assert dynamics._compiled is None
     assert np.all(response.state[:, 3] > 0.0)
+
+
+def test_a_numba_that_refuses_is_told(monkeypatch, fresh_loader):
+    def refuse(name):
+        raise ImportError("Numba needs NumPy 1.0 or less")
+
+    monkeypatch.setattr(compilation.importlib, "import_module", refuse)
+    with pytest.warns(RuntimeWarning, match=r"Numba needs NumPy .* SHAKE_ENV_COMPILED=0"):
+        assert compilation.compiled_module("compiled") is None

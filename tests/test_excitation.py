@@ -12,8 +12,8 @@ from shake_env import (
     Envelope,
     FilteredNoise,
     RecordedMotion,
+    compilation,
     make_scenario,
-    nonlinear_dynamics,
 )
 from shake_env.errors import ParameterError
 from shake_env.excitation import BLOCK_STEPS, Excitation, control_steps
@@ -385,7 +385,7 @@ def test_the_compiled_ground_is_the_references(name, own, monkeypatch):
     lanes = 70
 
     def followed(compiled):
-        monkeypatch.setattr(nonlinear_dynamics, "COMPILED", compiled)
+        monkeypatch.setattr(compilation, "COMPILED", compiled)
         simulation = Simulation(scenario, lanes)
         simulation.start(range(lanes), [np.random.default_rng(lane) for lane in range(lanes)])
         excitation = simulation.excitation

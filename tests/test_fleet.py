@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shake_env import FilteredNoise, RecordedMotion, make_scenario, nonlinear_dynamics, reference
+from shake_env import (
+    FilteredNoise,
+    RecordedMotion,
+    compilation,
+    make_scenario,
+    nonlinear_dynamics,
+    reference,
+)
 from shake_env.errors import ParameterError
 from shake_env.fleet import Fleet
 from shake_env.ground import GroundMaps
@@ -80,7 +87,11 @@ def test_a_lane_of_a_fleet_is_its_drawn_plant_alone():
 def test_plants_drawn_at_once_are_those_drawn_one_by_one(yielding, valve):
     """Every stacked matrix against the drawn scenario's own, which is never stacked."""
     parts = Nonlinearity(friction=Friction(coulomb=150.0), yielding=yielding, valve=valve)
-    scenario = uncertain(nonlinearity=parts, limits="laboratory", highpass_frequency=0.5)
+    second_order = valve.natural_frequency is not None  # which has no time constant to draw
+    wide = replace(WIDE, valve_time_constant=None) if second_order else WIDE
+    scenario = uncertain(
+        nonlinearity=parts, limits="laboratory", highpass_frequency=0.5, uncertainty=wide
+    )
     fleet = Fleet(scenario, 9)
     fleet.draw([7, 2, 5], [np.random.default_rng(seed) for seed in (1, 2, 3)])
     assert fleet.plants[0] == scenario
@@ -106,6 +117,27 @@ def test_plants_drawn_at_once_are_those_drawn_one_by_one(yielding, valve):
         noise, expected = fleet.maps.noise[lane], maps.noise
         scale = np.linalg.norm(expected, axis=1, keepdims=True)
         np.testing.assert_allclose(noise / scale, expected / scale, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("static", [None, 200.0])
+@pytest.mark.parametrize("compiled", [True, False])
+def test_friction_that_is_only_drawn_acts(static, compiled, monkeypatch):
+    """A nominal table without it, as controllers that do not know of it are designed on."""
+    monkeypatch.setattr(compilation, "COMPILED", compiled)
+    nominal = Nonlinearity(friction=Friction(static=static))
+    drawn = Uncertainty(coulomb_friction=Uniform(300.0, 300.0))
+    scenario = make_scenario("linear", {"nonlinearity": nominal, "uncertainty": drawn, "duration": 1.0})
+    fleet = Simulation(scenario, 4)
+    shear, _, _ = run(fleet, 100, range(4), range(4))
+    true = fleet.fleet.plants[0]
+    assert true.nonlinearity.friction.coulomb == 300.0
+    assert true.nonlinearity.friction.static == (None if static is None else 500.0)
+    alone = Simulation(replace(true, uncertainty=Uncertainty()), 4)
+    expected, _, _ = run(alone, 100, range(4), range(4))
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(shear[:, 0], expected[:, 0], rtol=1e-8, atol=1e-8 * size)
+    free = Simulation(make_scenario("linear", {"duration": 1.0}), 4)
+    assert np.abs(run(free, 100, range(4), range(4))[0] - expected).max() > 0.05 * size
 
 
 def test_a_fleet_without_spread_is_the_common_plant():

@@ -17,8 +17,8 @@ from shake_env import (
     RecordedMotion,
     Sensing,
     Sensor,
+    compilation,
     make_scenario,
-    nonlinear_dynamics,
     simulation,
 )
 from shake_env.block_kernel import BLOCK, SOURCES, stamp
@@ -97,14 +97,14 @@ def pair(scenario, lanes):
     fused = Simulation(scenario, lanes)
     assert fused._fused is not None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(nonlinear_dynamics, "COMPILED", False)
+        patch.setattr(compilation, "COMPILED", False)
         plain = Simulation(scenario, lanes)
     return fused, plain
 
 
 def uncompiled(call):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(nonlinear_dynamics, "COMPILED", False)
+        patch.setattr(compilation, "COMPILED", False)
         return call()
 
 
@@ -233,7 +233,7 @@ def test_info_has_its_keys_in_order():
 
 
 def test_without_numba_the_model_steps(monkeypatch):
-    simulation._load_engine.cache_clear()
+    compilation._load.cache_clear()
     monkeypatch.setitem(sys.modules, "shake_env.engine", None)
     try:
         sim = Simulation(make_scenario("laboratory"), 2)
@@ -241,12 +241,12 @@ def test_without_numba_the_model_steps(monkeypatch):
         sim.start(range(2), streams(range(2), 0))
         assert np.all(sim.step(np.full(2, 0.3)).reward < 0.0)
     finally:
-        simulation._load_engine.cache_clear()
+        compilation._load.cache_clear()
 
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_a_sharp_knee_stays_finite(compiled, monkeypatch):
-    monkeypatch.setattr(nonlinear_dynamics, "COMPILED", compiled)
+    monkeypatch.setattr(compilation, "COMPILED", compiled)
     law = Yielding(yield_drift=0.001, exponent=20.0)
     options = {"nonlinearity": Nonlinearity(yielding=law), "amplitude": 2.0, "duration": 5.0}
     scenario = replace(make_scenario("yielding", options), limits=Limits())

@@ -52,9 +52,9 @@ def window_cost(p, stage, start, K, window, discount):
     return total
 
 
-def test_the_windowed_law_is_where_the_gradient_of_a_window_vanishes():
-    # As back-propagation sees it: where a window begins is given, and does not answer to the law. At a
-    # discount of one, for with one the later places of a window count less, which the mean leaves out.
+@pytest.mark.parametrize("discount", [1.0, 0.99])
+def test_the_windowed_law_is_where_the_gradient_of_a_window_vanishes(discount):
+    # As back-propagation sees it: where a window begins is given, and does not answer to the law.
     p = ScaledProblem.of(LINEAR.discrete)
     stage, window = p.stage(LINEAR.stage_cost), 40
 
@@ -64,11 +64,13 @@ def test_the_windowed_law_is_where_the_gradient_of_a_window_vanishes():
         for i in range(K.size):
             step = np.zeros_like(K)
             step[0, i] = 1e-5 * np.abs(K).max()
-            ahead, behind = (window_cost(p, stage, start, K + s, window, 1.0) for s in (step, -step))
+            ahead, behind = (
+                window_cost(p, stage, start, K + s, window, discount) for s in (step, -step)
+            )
             found[i] = (ahead - behind) / (2.0 * step[0, i])
         return found
 
-    law = windowed_law(LINEAR, window, 1.0)
+    law = windowed_law(LINEAR, window, discount)
     optimal = sampled_lqr(LINEAR.discrete, LINEAR.stage_cost).gain
     optimal = (optimal[p.kept] * p.scale / REFERENCE_CURRENT)[None]
     # Central differences of 1e-5: what remains of the slope is their rounding and curvature.

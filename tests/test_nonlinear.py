@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
-from shake_env import make_scenario, nonlinear_dynamics
+from shake_env import compilation, make_scenario
 from shake_env.discretization import zero_order_hold
 from shake_env.errors import ParameterError, ScenarioError
 from shake_env.nonlinear_dynamics import (
@@ -142,7 +142,7 @@ LIMITS = {
 @pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("name", LIMITS)
 def test_limit_cases_are_the_linear_plant_to_the_last_bit(name, compiled, monkeypatch):
-    monkeypatch.setattr(nonlinear_dynamics, "COMPILED", compiled)
+    monkeypatch.setattr(compilation, "COMPILED", compiled)
     linear = NonlinearDynamics.of(PLANT, Nonlinearity(), 1e-3, 5)
     other = NonlinearDynamics.of(PLANT, LIMITS[name], 1e-3, 5)
     rng = np.random.default_rng(0)

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shake_env import nonlinear_dynamics
-from shake_env.normals import FEW, Normals, _load_kernel
+from shake_env import compilation
+from shake_env.normals import FEW, Normals
 
 LANES = 70  # more than are taken at once
 
@@ -30,7 +30,7 @@ def test_the_numbers_are_numpys_to_the_last_bit(kind):
 
 
 def test_the_compiled_numbers_are_what_is_tested():
-    assert _load_kernel() is not None
+    assert compilation.compiled_module("normal_kernel").numpys() is not None
     normals = Normals(FEW)
     streams = [np.random.default_rng(lane) for lane in range(FEW)]
     for lane, stream in enumerate(streams):
@@ -38,6 +38,28 @@ def test_the_compiled_numbers_are_what_is_tested():
     filled(normals, range(FEW), 10)
     # Raw numbers were drawn ahead; one alone would stand at the tenth.
     assert streams[0].standard_normal() != np.random.default_rng(0).standard_normal(11)[10]
+
+
+def test_numbers_at_the_bounds_of_every_layer_are_numpys():
+    """Raw numbers that a stream never comes to: those beside what decides."""
+    kernel = compilation.compiled_module("normal_kernel")
+    bounds, widths, heights = kernel.numpys()
+    generator = np.random.Generator(np.random.Philox(0))
+    for layer in range(256):
+        for place in {max(int(bounds[layer]) + d, 0) for d in (-65, -1, 0, 1, 5, 64)} | {0, 2**52 - 1}:
+            # Nearer to 1 the last bit of the heights decides, which are computed and not numpy's own.
+            for sign, second in ((0, 0), (1, 2**63), (0, 2**64 - 2**40)):
+                words = [(place << 9) | (sign << 8) | layer, second, 2**64 - 1, 12345 << 20]
+                state = generator.bit_generator.state
+                state["buffer"][:], state["buffer_pos"] = words, 0
+                generator.bit_generator.state = state
+                wanted = generator.standard_normal()
+                raw, out = np.array([words], dtype=np.uint64), np.empty((1, 1))
+                held, made = np.zeros(1, dtype=np.int64), np.full(1, 4)
+                kernel.convert(raw, held, out, made, 0, bounds, widths, heights)
+                if made[0]:  # else four words do not reach
+                    assert out[0, 0] == wanted, (layer, place, sign, second)
+                    assert 4 - held[0] == generator.bit_generator.state["buffer_pos"]
 
 
 @settings(max_examples=30, deadline=None)
@@ -68,8 +90,18 @@ def test_a_snapshot_goes_on_where_nothing_is_compiled(monkeypatch):
     for lane in range(FEW):
         normals[lane] = np.random.default_rng(lane)
     before = filled(normals, range(FEW), 50)
-    monkeypatch.setattr(nonlinear_dynamics, "COMPILED", False)
+    monkeypatch.setattr(compilation, "COMPILED", False)
     after = filled(normals, range(FEW), 50)
     for lane in range(FEW):
         whole = np.random.default_rng(lane).standard_normal(100)
         assert np.array_equal(np.concatenate([before[lane], after[lane]]), whole)
+
+
+def test_where_numpy_makes_its_numbers_otherwise_they_are_its_own(monkeypatch):
+    monkeypatch.setattr(compilation.compiled_module("normal_kernel"), "numpys", lambda: None)
+    normals = Normals(FEW)
+    for lane in range(FEW):
+        normals[lane] = np.random.default_rng(lane)
+    found = filled(normals, range(FEW), 30)
+    for lane in range(FEW):
+        assert np.array_equal(found[lane], np.random.default_rng(lane).standard_normal(30))

@@ -1,0 +1,36 @@
+"""The compiled modules, where numba is installed and they are not switched off."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import warnings
+from functools import lru_cache
+from typing import Any
+
+COMPILED = os.environ.get("SHAKE_ENV_COMPILED", "1") != "0"  # whether numba is used where it is there
+
+
+def compiled_module(name: str) -> Any:
+    """Return ``shake_env.NAME``, or None where it is switched off or numba is not there.
+
+    Imported on first use: numba is an extra, and takes half a second. Where it is installed and cannot
+    be used, a RuntimeWarning says why.
+    """
+    return _load(name) if COMPILED else None
+
+
+@lru_cache
+def _load(name: str) -> Any:
+    try:
+        return importlib.import_module(f"shake_env.{name}")
+    except ModuleNotFoundError:
+        return None
+    except (ImportError, RuntimeError) as problem:  # another numpy than it bears, no folder for its work
+        warnings.warn(
+            f"tables step uncompiled, several times slower: {problem}. Mend that (NUMBA_CACHE_DIR names "
+            "a folder that can be written), or set SHAKE_ENV_COMPILED=0",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+        return None
