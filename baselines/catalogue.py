@@ -13,9 +13,9 @@ from functools import partial
 from typing import Literal
 
 from baselines.adaptive import certainty_equivalence
+from baselines.disturbance_observer import DisturbanceObserver, ObserverDesign
 from baselines.estimator_model import ModelError
 from baselines.feedforward import FeedforwardLQR
-from baselines.friction import DisturbanceObserver, ObserverDesign
 from baselines.ilc import norm_optimal_learning
 from baselines.inverse import InverseDesign, InverseFeedForward
 from baselines.iteration import IterationPlan, transfer_function_iteration

@@ -8,6 +8,7 @@ Sampled-Data Control Systems, 1995).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,7 @@ from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 from shake_env.discretization import DiscretePlant
 from shake_env.errors import NumericalError, ParameterError, ScenarioError
 from shake_env.objective import StageCost
-from shake_env.parameters import FloatArray
+from shake_env.parameters import FloatArray, is_number
 from shake_env.plant import REFERENCE_CURRENT, CoupledPlant
 from shake_env.scenario import Scenario
 
@@ -185,9 +186,15 @@ class ScaledProblem:
 
         Raises
         ------
+        ParameterError
+            If the position is not above 0.
         ScenarioError
             If the ground filter has no high-pass: its displacement then has no bound.
         """
+        if not (is_number(position) and 0.0 < position < math.inf):
+            raise ParameterError(
+                "position", position, "must be above 0 m, or None: the place is not minded"
+            )
         if plant.layout.filter_states != 4:
             raise ScenarioError(
                 "highpass_frequency", plant.ground.highpass_frequency, "a weighed position needs one"

@@ -153,7 +153,11 @@ def multi_model_lqr(
     if aim not in ("mean", "worst"):
         raise ParameterError("aim", aim, "must be 'mean' or 'worst'")
     problem = ModelSet.of(nominal, models, position)
-    kept = np.arange(nominal.plant.layout.order) if position else observable_states(nominal.plant)
+    kept = (
+        np.arange(nominal.plant.layout.order)
+        if position is not None
+        else observable_states(nominal.plant)
+    )
     scale = nominal.plant.state_scale[kept]
     start = preview_lqr(nominal.discrete, nominal.stage_cost, 0.0, position=position).gain[kept]
     K = (start * scale / REFERENCE_CURRENT)[None, :]

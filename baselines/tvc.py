@@ -125,7 +125,7 @@ def placed_feedback(table: NominalTable, scenario: Scenario, design: TVCDesign) 
     NumericalError
         If the loop with the placed poles is not stable.
     """
-    oil = 2.0 * math.pi * float(scenario.plant.natural_frequencies[-1])
+    oil = 2.0 * math.pi * scenario.plant.oil_column_frequency
     zeta = design.oil_damping
     pair = oil * complex(-zeta, math.sqrt(1.0 - zeta**2))
     s = np.array([-2.0 * math.pi * design.position_bandwidth, pair, pair.conjugate()])

@@ -349,6 +349,27 @@ class CoupledPlant:
         Taken from the coupled state space with every damping, leakage and the valve removed, so that
         they show what the equations in use contain.
         """
+        eigenvalues = np.linalg.eigvals(self._undamped)
+        # What does not oscillate (position and spool) has eigenvalues on the real axis and sorts last.
+        return np.sort(eigenvalues.imag)[-(1 + self.specimen.stories) :] / (2.0 * np.pi)
+
+    @property
+    def oil_column_frequency(self) -> float:
+        """The one of the natural frequencies [Hz] whose mode the load pressure takes most part in.
+
+        Mostly the highest; a stiff storey's may lie above it. A state's part in a mode is the product of
+        its entries in the right and the left eigenvector, whatever its unit (Perez-Arriaga et al., IEEE
+        Trans. Power Apparatus and Systems 101, 1982).
+        """
+        poles, right = np.linalg.eig(self._undamped)
+        part = np.abs(right[LOAD_PRESSURE] * np.linalg.inv(right)[:, LOAD_PRESSURE])
+        found = poles.imag[np.argmax(np.where(poles.imag > 0.0, part, 0.0))] / (2.0 * np.pi)
+        frequencies = self.natural_frequencies
+        return float(frequencies[np.argmin(np.abs(frequencies - found))])
+
+    @property
+    def _undamped(self) -> FloatArray:
+        """State matrix (4 + 2 stories, ...) of table and specimen without damping, scaled."""
         undamped = CoupledPlant(
             replace(self.actuator, table_damping=0.0, leakage=0.0),
             replace(self.specimen, dampings=(0.0,) * self.specimen.stories),
@@ -356,12 +377,11 @@ class CoupledPlant:
             self.equations,
         )
         layout = undamped.layout
-        # What does not oscillate (position and spool) has eigenvalues on the real axis and sorts last.
         keep = np.r_[layout.controlled]
         A = undamped.coupled.A[np.ix_(keep, keep)]
         scale = undamped.state_scale[keep]
-        eigenvalues = np.linalg.eigvals(A * scale / scale[:, None])
-        return np.sort(eigenvalues.imag)[-(1 + self.specimen.stories) :] / (2.0 * np.pi)
+        scaled: FloatArray = A * scale / scale[:, None]
+        return scaled
 
     def to_control(self, *, scaled: bool = True) -> Any:
         """Return the plant as a ``control.StateSpace``; see `baselines.python_control.to_control`."""

@@ -1,5 +1,7 @@
 """The controller that knows too much, and one controller a lane."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,8 +10,9 @@ from baselines.lqr import lqr
 from baselines.preview_lqr import PreviewFeedback
 from shake_env import NoControl, make_scenario
 from shake_env.errors import ParameterError
-from shake_env.rollout import noise_earthquakes, rollout
+from shake_env.rollout import noise_earthquakes, recorded_earthquakes, rollout
 from shake_env.simulation import Simulation
+from shake_env.uncertainty import Uncertainty, Uniform
 
 
 def test_true_plants_are_those_that_the_roll_out_draws():
@@ -68,3 +71,18 @@ def test_friction_on_a_table_that_minds_no_place():
     knowing, _ = rollout(controller, seen, quakes)
     unaware, _ = rollout(lqr(scenario), scenario, quakes)
     assert sum(row.cost for row in knowing) < 0.6 * sum(row.cost for row in unaware)
+
+
+def test_with_friction_each_lane_has_the_law_of_its_own_plant():
+    """A plant drawn from one point, as the clairvoyant finds it, against that plant as the nominal."""
+    drawn = Uncertainty(mass_ratio=Uniform(0.8, 0.8), coulomb_friction=Uniform(250.0, 250.0))
+    scenario = make_scenario("laboratory", {"uncertainty": drawn, "duration": 3.0})
+    quakes = recorded_earthquakes(scenario)[:2]  # a stream that draws a plant has other noise behind
+    seen, controller = clairvoyant(scenario, quakes)
+    ours, _ = rollout(controller, seen, quakes)
+    true = replace(scenario.drawn(np.random.default_rng(0)), uncertainty=Uncertainty())
+    seen, controller = clairvoyant(true, quakes)
+    theirs, _ = rollout(controller, seen, quakes)
+    for mine, other in zip(ours, theirs, strict=True):
+        # The observation is rounded to single precision over another scale.
+        assert mine.cost == pytest.approx(other.cost, rel=1e-4)

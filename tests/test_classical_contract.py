@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import pytest
 
-from baselines.friction import DisturbanceObserver
+from baselines.disturbance_observer import DisturbanceObserver
 from baselines.inverse import InverseDesign, InverseFeedForward
 from baselines.mcs import MCS, MCSDesign
 from baselines.pid import pid

@@ -266,3 +266,10 @@ def test_a_blind_gain_with_preview_is_the_preview_law():
     assert detuned[preview] == pytest.approx(row[preview]) and not np.allclose(
         detuned[:states], row[:states]
     )
+
+
+@pytest.mark.parametrize("position", [0.0, -0.01, float("nan"), float("inf")])
+def test_a_place_that_is_no_length_is_refused(position):
+    scenario = make_scenario("laboratory")
+    with pytest.raises(ParameterError, match="position"):
+        preview_lqr(scenario.discrete, scenario.stage_cost, 0.1, position=position)

@@ -76,7 +76,7 @@ def observer_corner(scenario: Scenario, design: ObserverDesign) -> float:
 
 
 class DisturbanceObserver:
-    """A controller with what the observer finds subtracted from its current; itself a `Controller`.
+    """A controller with what makes up for the disturbance added to its current; itself a `Controller`.
 
     Parameters
     ----------
@@ -106,8 +106,8 @@ class DisturbanceObserver:
         # The response at this sample is of commands up to the last period.
         self._arrivals = self._arrivals[1:] + np.eye(whole + 1)[0] * self._arrivals[0]
 
-    def disturbance(self, state: Memory) -> FloatArray:
-        """Return the current (...) [A] that the observer takes for a disturbance."""
+    def compensation(self, state: Memory) -> FloatArray:
+        """Return the current (...) [A] that makes up for the disturbance: its negative."""
         found: FloatArray = state[0][..., self._reader.memory_size + 1]
         return found
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from baselines.friction import (
+from baselines.disturbance_observer import (
     DisturbanceObserver,
     ObserverDesign,
     mismatch,
@@ -40,7 +40,7 @@ def drive(scenario, controller, steps, offset=0.0):
     for step in range(steps):
         action, memory = controller.predict(observation, memory, np.array([step == 0]))
         observation = simulation.step(action[:, 0].astype(float) + offset).observation
-        found.append(controller.disturbance(memory)[0])
+        found.append(controller.compensation(memory)[0])
         velocity.append(simulation.state[0, 2])
     return np.array(found), np.array(velocity)
 
