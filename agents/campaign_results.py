@@ -13,8 +13,15 @@ from agents.bench import TEST_SEED
 from agents.evaluate import Contestant, contestant, evaluate
 from agents.recipes import Arena
 from agents.result_tables import PREFIX, write_result
+from baselines import clairvoyant
 from baselines.registry import tuned_parameters
 from shake_env.errors import ParameterError
+
+CLAIRVOYANT_DESIGN = {
+    "position": clairvoyant.POSITION,
+    "friction_position": clairvoyant.FRICTION_POSITION,
+    "preview": clairvoyant.PREVIEW,
+}
 
 
 def policy_folders(arena: Arena, folder: Path) -> list[Path]:
@@ -34,15 +41,16 @@ def evaluate_arena(
     """Return the file of an arena's result, the result, and whether any of it was made now.
 
     A row holds while there is no policy for it that it was not made of, and a rival's while it is in the
-    file: a row whose policies lie on no disk here any more stays. What does not hold is run, and with it
-    the reference and the yardstick, which must fare as they did. The code's version is not asked, for
-    most changes of it touch no figure: `again` asks for all rows anew, of the policies that there are.
+    file, tuned as it is now: a row whose policies lie on no disk here any more stays. What does not hold
+    is run, and with it reference and yardstick, which the costs of all rows are held against, and the
+    table that does nothing, which must fare as it did. The code's version is not asked, for most changes
+    of it touch no figure: `again` asks for all rows anew, of the policies that there are.
 
     Raises
     ------
     ParameterError
-        If rows are to stay, but reference or yardstick fare otherwise than when those were made; or if
-        a row of some policies would become one of fewer others.
+        If rows are to stay, but the table that does nothing fares otherwise than when those were made;
+        or if a row of some policies would become one of fewer others.
     """
     file = results / f"{PREFIX}{arena.name}.json"
     scenario = arena.options.build()
@@ -52,7 +60,8 @@ def evaluate_arena(
     if file.exists() and not again:
         known = _read(file, arena)
     missing = [row for row in rows if known is None or not _holds(row, known["identity"])]
-    if known is not None and not missing:
+    same_floor = known is not None and known["identity"]["clairvoyant"] == CLAIRVOYANT_DESIGN
+    if known is not None and not missing and same_floor:
         return file, known, False
     result = evaluate(
         scenario,
@@ -117,4 +126,9 @@ def _asked(arena: Arena) -> dict[str, Any]:
 def _identity(result: dict[str, Any], arena: Arena) -> dict[str, Any]:
     rows = {row["controller"]: [s["sha256"] for s in row["sources"]] for row in result["rows"]}
     tuned = {name: tuned_parameters(name, arena.options.scenario) for name in rows if not rows[name]}
-    return {"arena": _asked(arena), "rows": rows, "tuned": tuned}
+    return {
+        "arena": _asked(arena),
+        "clairvoyant": CLAIRVOYANT_DESIGN,
+        "rows": rows,
+        "tuned": tuned,
+    }

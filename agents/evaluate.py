@@ -19,7 +19,7 @@ from agents.compare import CLAIRVOYANT, decision_time, plain_row
 from agents.fidelity import fidelity
 from agents.free_design import FOUND, found_by_search
 from agents.policy_file import PolicyFile, load_policy
-from agents.scores import Episodes, summary
+from agents.scores import Episodes, cost_figures, summary
 from agents.shipped import SHIPPED, shipped_policy
 from baselines.catalogue import BASELINES
 from baselines.clairvoyant import clairvoyant
@@ -35,6 +35,7 @@ from shake_env.scenario import Scenario
 FORMAT = "shake-evaluation-1"
 LANES = 64  # earthquakes side by side where figures are made of their trajectories, which need memory
 MANY_LANES = 512  # where they are not
+WITNESS = "none"  # whose costs tell whether table and earthquakes are what they were
 
 
 @dataclass(frozen=True)
@@ -177,15 +178,16 @@ def evaluate(
     resamples
         Draws of the bootstrap.
     known
-        A result of the same scenario and earthquakes: its rows that are not run now are taken over.
+        A result of the same scenario and earthquakes: its rows that are not run now are taken over,
+        their costs held against reference and yardstick as those are now.
     on_progress
         Told the controller that runs and its share done, 0 to 1.
 
     Raises
     ------
     ParameterError
-        If fewer than two earthquakes are asked for, two rows have one name, or the reference or the
-        yardstick fares otherwise than in the `known` result.
+        If fewer than two earthquakes are asked for, two rows have one name or one a controller's, or
+        the table that does nothing fares otherwise than in the `known` result.
     """
     if earthquakes < 2:
         raise ParameterError("earthquakes", earthquakes, "an interval needs at least 2")
@@ -208,7 +210,8 @@ def evaluate(
         raise ParameterError(
             "entries", [c.name for c in contestants], "two rows have one name: give others by NAME=PATH"
         )
-    rows = {name: given.pop(name, Contestant(name)) for name in (yardstick, reference)} | given
+    always = (yardstick, reference) if known is None else (yardstick, reference, WITNESS)
+    rows = {name: given.pop(name, Contestant(name)) for name in dict.fromkeys(always)} | given
     machine = f"{platform.machine()}, {os.cpu_count()} cores"
     episodes, latency = {}, {}
     for name, each in rows.items():
@@ -218,6 +221,7 @@ def evaluate(
 
         episodes[name] = _episodes(each, scenario, quakes, repeats, told)
         latency[name] = _latency(each, scenario)
+    costs = (episodes[yardstick].cost, episodes[reference].cost)
     summaries = [
         summary(
             name,
@@ -237,9 +241,11 @@ def evaluate(
     ]
     plain = {name: found.to_json() for name, found in episodes.items()}
     if known is not None:
-        for name in dict.fromkeys((yardstick, reference)):
-            _check_same(name, plain[name], known["episodes"].get(name))
-        summaries += [row for row in known["rows"] if row["controller"] not in plain]
+        _check_same(plain[WITNESS], known["episodes"].get(WITNESS))
+        for row in known["rows"]:
+            if (name := row["controller"]) not in plain:
+                cost = np.array(known["episodes"][name]["cost"])
+                summaries.append(row | cost_figures(cost, *costs, optimum, resamples))
         plain = known["episodes"] | plain
     return {
         "format": FORMAT,
@@ -258,11 +264,11 @@ def evaluate(
     }
 
 
-def _check_same(name: str, found: dict[str, Any], before: dict[str, Any] | None) -> None:
+def _check_same(found: dict[str, Any], before: dict[str, Any] | None) -> None:
     # Processors round differently, and 7 digits are written.
     if before is None or not np.allclose(found["cost"], before["cost"], rtol=1e-5):
         raise ParameterError(
-            "known", name, "fares otherwise now, so that no row holds: evaluate all anew (--again)"
+            "known", WITNESS, "fares otherwise now, so that no row holds: evaluate all anew (--again)"
         )
 
 

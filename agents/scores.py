@@ -10,6 +10,7 @@ import numpy as np
 
 from agents.statistics import (
     Scores,
+    Statistic,
     estimate,
     interquartile_mean,
     probability_of_improvement,
@@ -93,36 +94,20 @@ def summary(
     resamples
         Draws of the bootstrap.
     """
-
-    def interval(statistic: Any, *samples: Scores) -> dict[str, float]:
-        return asdict(estimate(statistic, *samples, resamples=resamples))
-
-    ratio = found.cost / yardstick.cost
     row: dict[str, Any] = {
         "controller": name,
         "runs": len(found.cost),
         "episodes": found.cost.size,
-        "relative_cost": interval(ratio_of_means, found.cost, yardstick.cost),
-        "interquartile_mean": interval(interquartile_mean, ratio),
-        "worst_twentieth": interval(worst_mean, ratio),
-        "reference_cost": interval(ratio_of_means, found.cost, reference.cost),
-        "probability_of_improvement": interval(probability_of_improvement, found.cost, reference.cost),
-        "optimality": None,
-        "regret_closed": None,
-        "run_costs": [float(run.mean() / yardstick.cost.mean()) for run in found.cost],
+        **cost_figures(found.cost, yardstick.cost, reference.cost, optimum, resamples),
         "failures": found.failures,
     }
-    if optimum is not None:
-        row["optimality"] = interval(lambda cost: float(cost.mean() / optimum), found.cost)
-    elif found is not yardstick and reference.cost.mean() > yardstick.cost.mean():
-        row["regret_closed"] = interval(_regret_closed, found.cost, reference.cost, yardstick.cost)
     for figure in MEANS:
-        row[figure] = interval(_mean, found.figures[figure])
+        row[figure] = _interval(_mean, resamples, found.figures[figure])
     for figure, error in RATIOS.items():
         known = found.figures.get(figure)
         row[error] = None
         if known is not None and np.isfinite(known).all():
-            row[error] = interval(_median, np.abs(known - 1.0))
+            row[error] = _interval(_median, resamples, np.abs(known - 1.0))
     for figure in ("delay", "spectral_error"):
         known = found.figures.get(figure)
         finite = known is not None and np.isfinite(known).any()
@@ -130,6 +115,35 @@ def summary(
     for peak in PEAKS:
         row[peak] = float(found.figures[peak].max())
     return row
+
+
+def cost_figures(
+    cost: Scores, yardstick: Scores, reference: Scores, optimum: float | None, resamples: int
+) -> dict[str, Any]:
+    """Return those figures of a row that come of costs alone, (runs, earthquakes); see `summary`."""
+    ratio = cost / yardstick
+    same = np.array_equal(cost, yardstick)
+    regret = optimum is None and not same and reference.mean() > yardstick.mean()
+    return {
+        "relative_cost": _interval(ratio_of_means, resamples, cost, yardstick),
+        "interquartile_mean": _interval(interquartile_mean, resamples, ratio),
+        "worst_twentieth": _interval(worst_mean, resamples, ratio),
+        "reference_cost": _interval(ratio_of_means, resamples, cost, reference),
+        "probability_of_improvement": _interval(probability_of_improvement, resamples, cost, reference),
+        "optimality": (
+            None
+            if optimum is None
+            else _interval(lambda found: float(found.mean() / optimum), resamples, cost)
+        ),
+        "regret_closed": (
+            _interval(_regret_closed, resamples, cost, reference, yardstick) if regret else None
+        ),
+        "run_costs": [float(run.mean() / yardstick.mean()) for run in cost],
+    }
+
+
+def _interval(statistic: Statistic, resamples: int, *samples: Scores) -> dict[str, float]:
+    return asdict(estimate(statistic, *samples, resamples=resamples))
 
 
 def _mean(scores: Scores) -> float:
