@@ -123,12 +123,11 @@ def test_an_evaluation_holds_until_its_policies_change(campaigned, tmp_path):
     assert made
     before, after = ({row["controller"]: row for row in r["rows"]} for r in (result, later))
     assert after.pop("sac")["run_costs"] == before["ppo"]["run_costs"][:1]
-    for name in ("ppo", "none"):
-        assert later["episodes"][name] == result["episodes"][name]
-        for figure, value in before[name].items():
-            # Figures of costs come of those that are kept, to seven digits.
-            number = figure != "sources" and not isinstance(value, str | type(None))
-            assert after[name][figure] == (pytest.approx(value, rel=1e-5) if number else value), figure
+    assert later["episodes"]["ppo"] == result["episodes"]["ppo"]
+    for figure, value in before["ppo"].items():
+        # Figures of costs come of those that are kept, to seven digits.
+        number = figure != "sources" and not isinstance(value, str | type(None))
+        assert after["ppo"][figure] == (pytest.approx(value, rel=1e-5) if number else value), figure
     assert after["lqr"]["relative_cost"] == before["lqr"]["relative_cost"]
 
     # Fewer others do not take the place of a row, and nothing stays of what was asked otherwise, or of
