@@ -12,7 +12,6 @@ from typing import Any
 
 import shake_env
 from agents.compare import CLAIRVOYANT, Comparison, GroupSummary, compare, plain_row
-from baselines.catalogue import BASELINES
 from baselines.registry import reference_name
 from shake_env import make_scenario
 from shake_env.errors import ParameterError
@@ -56,7 +55,7 @@ def bench(
         "scenario": scenario_name,
         "version": shake_env.__version__,
         "machine": f"{platform.machine()}, {os.cpu_count()} cores",
-        "seed": TEST_SEED,
+        "seed": None if recorded else TEST_SEED,
         "reference": reference_name(scenario),
         "skipped": found.skipped,
         "rows": [plain_row(asdict(row)) for row in ranked(found)],
@@ -97,9 +96,8 @@ def markdown(result: dict[str, Any]) -> str:
                 f"counts included; before that one the specimen has dissipated {row['damage']:.1f} "
                 "times the energy of a perfect test (median)."
             )
-    lines.append(
-        f"{number} earthquakes, seed {result['seed']}, version {result['version']}, {result['machine']}."
-    )
+    seed = "recorded" if result["seed"] is None else f"seeds from {result['seed']}"
+    lines.append(f"{number} earthquakes, {seed}, version {result['version']}, {result['machine']}.")
     return "\n".join(lines) + "\n"
 
 
@@ -122,11 +120,6 @@ def put_tables(page: Path, results: Sequence[dict[str, Any]]) -> None:
         before, rest = text.split(begin, 1)
         text = before + begin + "\n" + markdown(result) + "\n" + end + rest.split(end, 1)[1]
     page.write_text(text, encoding="utf-8")
-
-
-def summaries_page() -> str:
-    """Return a line for each controller: its name and what it is."""
-    return "\n".join(f"| `{name}` | {each.summary} |" for name, each in BASELINES.items()) + "\n"
 
 
 def read_results(folder: Path) -> list[dict[str, Any]]:

@@ -43,7 +43,6 @@ CLOSE = 0.12  # [s] shown about a reversal of the table
 OPENINGS = (1.0, 0.75, 0.5, 0.25)  # [-] spool over its limit
 
 GUIDE: dict[str, Any] = {"color": GREY, "linewidth": 1.1, "linestyle": (0, (5, 2))}
-IDEAL: dict[str, Any] = {"color": BLACK, "linewidth": 1.1, "linestyle": (0, (1, 1.2))}
 # By lightness from grey to dark, and by dash.
 FOUR: tuple[dict[str, Any], ...] = (
     {"color": GREY, "linewidth": 3.2, "alpha": 0.6},

@@ -33,12 +33,12 @@ LAW = {
     "frequency": Tunable(0.6, 1.4, 1.0),  # likewise
     "damping": Tunable(0.3, 10.0, 1.0),  # likewise
 }
-PLACE = {"position": Tunable(0.001, 0.3, 0.03)}  # [m]
+PLACE = {"position": Tunable(0.001, 10.0, 0.03, natural="high")}  # [m]
 FILTER = {
     "force": Tunable(0.03, 30.0, 1.0),  # believed error of the model, times the nominal belief
     "flow": Tunable(0.03, 30.0, 1.0),
     "time": Tunable(0.1, 10.0, 1.0),  # correlation time of both, likewise
-    "accommodation": Tunable(0.0, 1.3, 1.0, logarithmic=False),
+    "accommodation": Tunable(0.0, 2.0, 1.0, logarithmic=False),
     "lateness": Tunable(-1.0, 1.0, 0.0, logarithmic=False),  # [physics steps] on the delay
 }
 

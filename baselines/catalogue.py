@@ -295,7 +295,11 @@ BASELINES: dict[str, Baseline] = {
     "tvc-observer": Baseline(
         _observer,
         "three-variable control with a disturbance observer",
-        {"margin": Tunable(0.02, 0.95, 0.7), "bandwidth": _BANDWIDTH, "damping": _DAMPING},
+        {
+            "margin": Tunable(0.02, 0.95, 0.7, natural="low"),
+            "bandwidth": _BANDWIDTH,
+            "damping": _DAMPING,
+        },
     ),
     "mcs": Baseline(
         _mcs,

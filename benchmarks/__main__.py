@@ -87,6 +87,11 @@ def main() -> None:
     if asked.only is not None:
         if unknown := set(asked.only) - set(known):
             parser.error(f"no such group: {', '.join(sorted(unknown))}; there are {', '.join(known)}")
+        if "peers" in asked.only and not asked.peers:
+            parser.error("peers installs gymnax: ask for it, --peers")
+        kept = asked.json is not None and asked.json.exists()
+        if (asked.page or asked.figure) and not kept:
+            parser.error("--page and --figure need all groups: --json FILE has what --only leaves out")
         chosen = [name for name in known if name in asked.only]
         if asked.json and asked.json.exists():
             found = json.loads(asked.json.read_text(encoding="utf-8"))
