@@ -27,8 +27,9 @@ class ProximalOptions:
     clip_range: float = 0.2
     """Clip range of the probability ratio [-]."""
     base: BaseLaw = "none"
-    """Law that the policy corrects: none (from scratch), flow (the current that the table's own velocity
-    uses), lqr (residual on top of LQR), or one behind an estimator (see the analytic's)."""
+    """Law that the policy corrects: none (from scratch); on the full state flow (the current that the
+    table's own velocity uses), lqr or preview-lqr; lqg or lqg-accommodating, behind an estimator whose
+    beliefs the policy is then shown as well; free, what a search found for the scenario."""
     authority: float = 1.0
     """What the policy can add to that law, as a fraction of the current limit."""
     initial_log_std: float = -3.0
@@ -75,8 +76,8 @@ class OffPolicyOptions:
     tau: float = 0.005
     """Rate at which target networks follow [-]."""
     base: BaseLaw = "flow"
-    """Linear law that the policy corrects: none, flow (the current that the table's own velocity uses)
-    or lqr. From nothing, the critic cannot tell good currents from bad before the tables are lost."""
+    """Law that the policy corrects, as PPO's; from nothing, the critic cannot tell good currents from
+    bad before the tables are lost."""
     authority: float = 0.2
     """What the policy can add to that law, as a fraction of the current limit."""
 
@@ -149,8 +150,7 @@ class AnalyticOptions:
     scale_free: bool = True
     """Whether the actor has no biases (see PPO's); without effect on a policy with memory."""
     base: BaseLaw = "none"
-    """Law that the policy corrects: none; on the full state flow, lqr or preview-lqr; lqg or
-    lqg-accommodating, whose estimate the policy is then shown as well."""
+    """Law that the policy corrects, as PPO's."""
     authority: float = 1.0
     """What the policy can add to that law, as a fraction of the current limit."""
     precision: Literal["float64", "float32"] = "float64"

@@ -80,8 +80,10 @@ def _refill(buffer: ReplayBuffer, held: dict[str, Any]) -> None:
         getattr(buffer, name)[: len(held[name])] = held[name]
 
 
-def load_checkpoint(run: Path, algorithm: str, env: ShakeTableVecEnv) -> Model:
+def load_checkpoint(run: Path, algorithm: str, env: ShakeTableVecEnv, device: str = "cpu") -> Model:
     """Return the model of the newest readable checkpoint; `env` and all random streams go on from it.
+
+    It goes on on `device`, the one that the run is on.
 
     Raises
     ------
@@ -91,8 +93,8 @@ def load_checkpoint(run: Path, algorithm: str, env: ShakeTableVecEnv) -> Model:
     failures = []
     for folder in reversed(checkpoints(run)):
         try:
-            state = torch.load(folder / "state.pt", weights_only=False)
-            model = ALGORITHMS[algorithm].load(folder / "model.zip", env=env, device="cpu")
+            state = torch.load(folder / "state.pt", weights_only=False, map_location="cpu")
+            model = ALGORITHMS[algorithm].load(folder / "model.zip", env=env, device=device)
         except Exception as error:  # a damaged pickle raises anything; the next older one is tried
             failures.append(f"{folder.name}: {error}")
             continue
@@ -104,7 +106,8 @@ def load_checkpoint(run: Path, algorithm: str, env: ShakeTableVecEnv) -> Model:
         if isinstance(model, RecurrentPPO):
             model._last_lstm_states = state["memory"]
         if isinstance(model, AnalyticPolicyGradient):
-            model.memory = state["memory"]
+            memory = state["memory"]
+            model.memory = None if memory is None else memory.to(model.device)
         model.action_space._np_random = state["action_space"]
         torch.set_rng_state(state["torch"])
         np.random.set_state(state["numpy"])  # noqa: NPY002  # SB3 draws its minibatches from it

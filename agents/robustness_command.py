@@ -88,8 +88,9 @@ class Robustness:
             write_robustness,
         )
 
-        for name in ("controllers", "quantities", "output"):
-            if getattr(self, name):
+        usual = type(self)()
+        for name in ("scenario", "controllers", "quantities", "output"):
+            if getattr(self, name) != getattr(usual, name):
                 raise ParameterError(
                     name, getattr(self, name), "contradicts --all: leave one of them out"
                 )

@@ -110,7 +110,8 @@ def findings(result: dict[str, Any], controller: str) -> list[str]:
     if dearer:
         sentences.append(f"Costs more than the best classical controller: {'; '.join(dearer)}.")
     else:
-        sentences.append("Nowhere, where it held, did a classical controller cost less.")
+        share = f"{MATTERS - 1.0:.0%}"
+        sentences.append(f"Nowhere, where it held, did a classical controller cost {share} less.")
     for each in result["maps"]:
         pairs = [at(result, **{each["x"]: x, each["y"]: y}) for x in each["xs"] for y in each["ys"]]
         gone = [point for point in pairs if point["failures"][controller]]

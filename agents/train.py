@@ -115,7 +115,9 @@ def resume(
         return train(config, run, report=report, command=command)
     env = _tables(config, config.scenario.build())
     torch.set_num_threads(config.threads)
-    return _run(load_checkpoint(run, config.algorithm, env), config, env, run, report, command)
+    device = config.analytic.device if config.algorithm == "analytic" else "cpu"
+    model = load_checkpoint(run, config.algorithm, env, device)
+    return _run(model, config, env, run, report, command)
 
 
 def go_on(

@@ -190,7 +190,7 @@ def transients(name: str, motions: Mapping[str, Motion], folder: Path) -> list[P
             ax.set_ylabel(label)
         axes[-1].set_xlabel("time [s]")
         axes[-1].set_xlim(start, start + WINDOW)
-        axes[0].set_title(f"{name}, at full amplitude")
+        axes[0].set_title(name)
         handles = [Line2D([], [], color=BLACK, linewidth=5.5, alpha=0.2, label="target, real ground")]
         handles += [Line2D([], [], label=controller, **style) for controller, style in styles.items()]
         figure.legend(handles=handles, loc="outside lower center", ncols=3)

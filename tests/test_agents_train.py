@@ -122,6 +122,7 @@ def test_nothing_to_resume_is_said(tmp_path):
     with pytest.raises(RunDirectoryError, match=r"no readable config.json"):
         resume(tmp_path)
     (tmp_path / "config.json").write_text(json.dumps(small("ppo").to_json()))
+    (tmp_path / "checkpoints/step-0000000256").mkdir(parents=True)  # without what it should hold
     with pytest.raises(RunDirectoryError, match="no readable checkpoint"):
         resume(tmp_path)
 

@@ -299,7 +299,7 @@ def test_what_is_said_follows_from_the_numbers():
     )
     assert findings(good, "mine") == [
         "Lost none of 6 tests with one thing changed.",
-        "Nowhere, where it held, did a classical controller cost less.",
+        "Nowhere, where it held, did a classical controller cost 2% less.",
     ]
 
 
