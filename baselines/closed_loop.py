@@ -101,7 +101,7 @@ def closed_loop(plant: CoupledPlant, gain: FloatArray) -> ClosedLoop:
     A = (xi.A - np.outer(xi.B[:, 0], shifted))[np.ix_(keep, keep)]
     slowest = float(np.max(np.linalg.eigvals(A).real))
     if not slowest < 0.0:
-        raise NumericalError("closed-loop pole", slowest, "the closed loop is not stable")
+        raise NumericalError("closed-loop pole", slowest, "the closed loop is not stable: another gain")
 
     signals = plant.coupled.C @ xi.transform  # y_A, f_s, y~, f~_s
     table = xi.transform[layout.actuator]

@@ -253,7 +253,11 @@ def _riccati(
             break  # rounding is reached
         X, K, residual = X_next, K_next, residual_next
     if not residual <= 1e-7:
-        raise NumericalError("Riccati residual", residual, "is too large")
+        raise NumericalError(
+            "Riccati residual",
+            residual,
+            "is too large: design it sampled (sampled_lqr), where it is not",
+        )
     return X, K, residual
 
 

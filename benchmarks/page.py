@@ -159,7 +159,8 @@ def _device(found: dict[str, Any]) -> list[str]:
     told = f"Device: {found['device']}; a copy moves {found['bandwidth [B/s]'] / 1e9:.1f} GB/s."
     lines = [*table(head, rows), "", told]
     if "updates" in found:
-        kinds = list(found["updates"]["gradient"])
+        one = {"cpu": "cpu, one thread"}
+        kinds = [one.get(kind, kind) for kind in found["updates"]["gradient"]]
         rows = [(way, *(f"{s:.2f}" for s in each.values())) for way, each in found["updates"].items()]
         lines += ["", *table(("an update, wall time [s]", *kinds), rows)]
     return lines

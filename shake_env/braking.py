@@ -219,7 +219,9 @@ class Foresight:
             spread = np.sqrt(np.square(predicted[:, :ACTUATOR]) @ np.square(noise))
             if (allowed - 3.0 * spread <= 0.0).any():
                 raise ScenarioError(
-                    "sensing noise", tuple(noise), "is too large to tell when a limit is near"
+                    "sensing noise",
+                    tuple(noise),
+                    "is too large to tell when a limit is near: better sensors, or wider limits",
                 )
             rows.append(predicted)
             reach.append(allowed - 3.0 * spread)
@@ -257,7 +259,9 @@ def _predict(
     radius = float(np.max(np.abs(np.linalg.eigvals(closed[np.ix_(moving, moving)]))))
     if not radius < 1.0:
         raise NumericalError(
-            "spectral radius", radius, "braking does not stop a table with this specimen"
+            "spectral radius",
+            radius,
+            "braking does not stop a table with this specimen: less mass on it, or more storey damping",
         )
     every = {name: max(1, round(LOOKS[name][0] / step)) for name in bounds}
     last = {name: round(LOOKS[name][1] / step) for name in bounds}

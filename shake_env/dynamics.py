@@ -31,7 +31,7 @@ def as_like(values: Array, like: Array) -> Array:
 class PeriodResponse:
     """What the table did over one control period of k physics steps."""
 
-    state: Array  # (..., 4 + 2 stories) SI, [x_A, x_S] at the period's end
+    state: Array  # (..., states) SI at the period's end, [x_A, x_S] first
     table_acceleration: Array  # (..., k) [m/s^2] after each physics step
     base_shear: Array  # (..., k) [N] after each physics step
 

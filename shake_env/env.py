@@ -87,9 +87,9 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ``w_a (y_A - y~)^2 / ||G_W||^2 + w_f (f_s - f~_s)^2 / ||f~_s||^2``, plus ``w_u (u / 25 mA)^2``, with
     weights 1, 1 and 0.01 by default; ``objective=Objective.raw(q_1, q_2, r)`` gives the paper's raw
     weights. Breaking a limit costs five times what a motionless table would be expected to pay over the
-    rest of the motion, taken at its amplitude or at 1, whichever is more (``limit_cost`` in ``info``),
-    so that ending an episode never pays. Coming close to a limit costs where the scenario has soft ones
-    (``soft_limit_cost``).
+    rest of filtered noise of that amplitude or of 1, whichever is more (``limit_cost`` in ``info``; most
+    records are weaker, and lose more by it), so that ending an episode never pays. Coming close to a
+    limit costs where the scenario has soft ones (``soft_limit_cost``).
 
     ## Start and end
 

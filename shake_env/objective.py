@@ -44,6 +44,8 @@ class Objective:
         for field, value in (("q_1", q_1), ("q_2", q_2), ("r", r)):
             if not (is_number(value) and 0.0 <= value < float("inf")):
                 raise ParameterError(field, value, "must be a finite number of at least 0")
+        if r == 0.0:
+            raise ParameterError("r", r, "must be above 0: a current that costs nothing has no bound")
         return cls(
             acceleration_weight=q_1**2, force_weight=q_2**2, current_weight=r**2, normalised=False
         )

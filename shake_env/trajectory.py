@@ -22,7 +22,7 @@ class Trajectory:
     base_shear: FloatArray  # (samples,) [N]
     control_time: FloatArray  # (steps,) [s] at each period's end
     current: FloatArray  # (steps,) [A]
-    state: FloatArray  # (steps, 4 + 2 stories) [x_A, x_S] SI
+    state: FloatArray  # (steps, states) SI, [x_A, x_S] first
     reference: FloatArray  # (steps, 2 stories) reference specimen x~_S SI
 
 

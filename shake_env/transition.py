@@ -81,7 +81,7 @@ class TableModel:
         Parameters
         ----------
         state
-            (..., 4 + 2 stories) [x_A, x_S] in SI.
+            (..., states) in SI: [x_A, x_S], then what nonlinear parts and commands under way add.
         action
             (...) current as a fraction of the limit; clipped to [-1, 1].
         ground
