@@ -177,6 +177,9 @@ class CertaintyEquivalence:
         head = seen[:, : shown.head] * scale[: shown.head]
         ground = head[:, layout.ground]
         target = ground @ self._source
+        if shown.sensing.last_action:  # what was given, which a supervisor may have changed
+            given = scenario.current_limit * seen[:, shown.last_action]
+            belief = replace(belief, commands=np.concatenate([given, belief.commands[:, 1:]], axis=-1))
         if self._observer is None:
             belief = self._shown(head, belief)
             weight, mass = self.posterior(belief)

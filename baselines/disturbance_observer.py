@@ -92,7 +92,7 @@ class DisturbanceObserver:
         self, scenario: Scenario, controller: Controller, design: ObserverDesign | None = None
     ) -> None:
         self.controller = controller
-        self._reader = SignalReader(scenario, NEEDS)
+        self._reader, self._shown = SignalReader(scenario, NEEDS), scenario.observation
         self._limit = scenario.current_limit
         self._gain, self._lag = scenario.actuator.velocity_gain, scenario.actuator.valve_time_constant
         corner = observer_corner(scenario, design or ObserverDesign())
@@ -125,6 +125,9 @@ class DisturbanceObserver:
         memory = recall(mine, episode_start, lead, own + 2 + len(self._arrivals))
         signals, read = self._reader.read(observation, memory[..., :own])
         first, second, past = memory[..., own], memory[..., own + 1], memory[..., own + 2 :]
+        if self._shown.sensing.last_action:  # what was given, which a supervisor may have changed
+            given = self._limit * observation[..., self._shown.last_action]
+            past = np.concatenate([given, past[..., 1:]], axis=-1)
         needed = (signals[..., VELOCITY] + self._lag * signals[..., ACCELERATION]) / self._gain
         unexplained = past @ self._arrivals - needed
         first = first + self._follow * (unexplained - first)

@@ -179,3 +179,16 @@ def test_what_does_not_suit_it_is_refused(unknown, bank):
         SpecimenBank.of(unknown, masses=1)
     with pytest.raises(ParameterError, match="floor"):
         CertaintyEquivalence(unknown, bank, floor=0.0)
+
+
+def test_what_was_given_counts_and_not_what_was_asked():
+    """A supervisor's changes are in the last action that the scenario shows."""
+    scenario = make_scenario("unknown-specimen")
+    shown = scenario.observation
+    assert shown.sensing.last_action
+    controller = certainty_equivalence(scenario)
+    observation = np.zeros((1, shown.size), dtype=np.float32)
+    _, state = controller.predict(observation)
+    observation[:, shown.last_action] = 0.25
+    _, told = controller.predict(observation, state)
+    assert told[0].commands[0, 1] == pytest.approx(0.25 * scenario.current_limit)

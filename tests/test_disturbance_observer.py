@@ -89,3 +89,17 @@ def test_mistakes_are_named():
         ObserverDesign(margin=1.0)
     with pytest.raises(ParameterError, match="corner"):
         ObserverDesign(corner=-1.0)
+
+
+def test_what_was_given_counts_and_not_what_was_asked():
+    """A supervisor's changes are in the last action that the scenario shows."""
+    scenario = laboratory()
+    shown = scenario.observation
+    assert shown.sensing.last_action
+    observer = DisturbanceObserver(scenario, NoControl())
+    observation = np.zeros(shown.size, dtype=np.float32)
+    _, quiet = observer.predict(observation)
+    observation[shown.last_action] = 0.25
+    _, told = observer.predict(observation, quiet)
+    _, untold = observer.predict(np.zeros_like(observation), quiet)
+    assert observer.compensation(told) > observer.compensation(untold)
