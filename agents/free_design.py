@@ -33,7 +33,7 @@ LAW = {
     "frequency": Tunable(0.6, 1.4, 1.0),  # likewise
     "damping": Tunable(0.3, 10.0, 1.0),  # likewise
 }
-PLACE = {"position": Tunable(0.001, 10.0, 0.03, natural="high")}  # [m]
+PLACE = {"position": Tunable(0.001, 1.0, 0.03, natural="high")}  # [m]
 FILTER = {
     "force": Tunable(0.03, 30.0, 1.0),  # believed error of the model, times the nominal belief
     "flow": Tunable(0.03, 30.0, 1.0),

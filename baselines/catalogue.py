@@ -225,7 +225,9 @@ def _learning(
 
 
 MODELS = 32  # specimens that the multi-model design is made for
-_POSITION = Tunable(0.001, 10.0, 0.03, natural="high")  # then the place is minded no more
+# A looser place costs a percent less on the noise and is lost where an earthquake uses all of the stroke:
+# of 64 artificial ones (validation) at 9 m 12, at 3 m 3, at 1 m none (`lqg`, unknown-specimen).
+_POSITION = Tunable(0.001, 1.0, 0.03, natural="high")
 _DOUBT = Tunable(0.003, 30.0, 1.0)
 _BANDWIDTH = Tunable(0.02, 5.0, 1.0, natural="low")  # the feed-forward alone
 _DAMPING = Tunable(0.01, 0.7, 0.2)
@@ -284,7 +286,7 @@ BASELINES: dict[str, Baseline] = {
     "adaptive": Baseline(
         certainty_equivalence,
         "finds out which specimen it is, and drives it by its own preview LQR",
-        {"position": Tunable(0.001, 10.0, 0.05, natural="high")},
+        {"position": Tunable(0.001, 1.0, 0.05, natural="high")},
     ),
     "pid": Baseline(
         _pid,
