@@ -225,8 +225,8 @@ def _learning(
 
 
 MODELS = 32  # specimens that the multi-model design is made for
-# A looser place costs a percent less on the noise and is lost where an earthquake uses all of the stroke:
-# of 64 artificial ones (validation) at 9 m 12, at 3 m 3, at 1 m none (`lqg`, unknown-specimen).
+# A looser place costs a percent less on the noise and loses tables that use all of their stroke: of 64
+# artificial earthquakes (validation) at 9 m 12, at 3 m 3, at 1 m none (`lqg`, unknown-specimen).
 _POSITION = Tunable(0.001, 1.0, 0.03, natural="high")
 _DOUBT = Tunable(0.003, 30.0, 1.0)
 _BANDWIDTH = Tunable(0.02, 5.0, 1.0, natural="low")  # the feed-forward alone
