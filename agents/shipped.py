@@ -1,4 +1,8 @@
-"""Policies that come with the package: of each family the best for each scenario."""
+"""Policies that come with the package: of each family one a scenario.
+
+The seed that did best in training, of the recipe that the scenario is judged by: in `laboratory` the one
+that minds the force more than the objective does.
+"""
 
 from __future__ import annotations
 
