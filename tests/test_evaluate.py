@@ -12,6 +12,7 @@ from agents.compare import compare
 from agents.evaluate import Contestant, contestant, digest, evaluate, optimal_cost, policy_files
 from agents.policy_file import load_policy
 from agents.result_tables import markdown, put_tables, read_results, write_result
+from agents.scores import cost_figures
 from agents.shipped import shipped_policy
 from agents.train import EVALUATION_SEED
 from agents.tune import VALIDATION_SEED
@@ -103,7 +104,8 @@ def test_test_earthquakes_are_nobody_elses():
 
 
 def test_an_unknown_specimen_is_measured_by_the_clairvoyant():
-    scenario = make_scenario("unknown-specimen", {"duration": 2.0})
+    unknown = {"uncertainty.mass_ratio": [0.3, 0.7]}
+    scenario = make_scenario("laboratory", {"duration": 2.0, "fields": unknown})
     result = evaluate(scenario, [Contestant("none")], earthquakes=3, repeats=False, resamples=50)
     assert (result["yardstick"], result["reference"], result["optimal_cost"]) == (
         "clairvoyant", "lqg", None,
@@ -118,6 +120,18 @@ def test_an_unknown_specimen_is_measured_by_the_clairvoyant():
     assert by_name["clairvoyant"]["regret_closed"] is None
     assert by_name["clairvoyant"]["decision_time"] is None
     assert by_name["none"]["drift_error"] is None
+
+
+def test_no_regret_is_told_where_the_clairvoyant_costs_more_than_the_reference():
+    cheap, dear = np.full((1, 4), 1.0), np.full((1, 4), 2.0)
+    found = cost_figures(
+        np.full((1, 4), 1.5), yardstick=dear, reference=cheap, optimum=None, resamples=10
+    )
+    assert found["regret_closed"] is None
+    found = cost_figures(
+        np.full((1, 4), 1.5), yardstick=cheap, reference=dear, optimum=None, resamples=10
+    )
+    assert found["regret_closed"]["value"] == pytest.approx(0.5)
 
 
 def test_the_optimum_with_preview_and_amplitude():
