@@ -11,6 +11,7 @@ from matplotlib.ticker import FormatStrFormatter, NullFormatter
 
 from agents.evaluate import digest
 from agents.figure_style import BLUE, GREY, figure_style, new_figure
+from agents.options import given_options
 from agents.policy_file import PolicyFile, load_policy
 from agents.result_tables import interval
 from agents.robustness_output import findings, read_robustness
@@ -123,9 +124,7 @@ def card_text(
     """
     card = policy.card
     config = card.get("config", {})
-    scenario = {
-        key: value for key, value in config.get("scenario", {}).items() if value not in (None, [])
-    }
+    scenario = given_options(config.get("scenario", {}))
     name = scenario.pop("scenario", "unknown")
     changed = ", ".join(f"{key} = {value}" for key, value in scenario.items())
     memory = "none" if policy.memory is None else f"{policy.memory.kind}, {policy.memory.units} units"

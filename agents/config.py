@@ -23,6 +23,9 @@ from shake_env.parameters import require_non_negative, require_positive
 Options = PPOOptions | SACOptions | TD3Options | TQCOptions | RecurrentPPOOptions | AnalyticOptions
 
 
+MOST_SEEDS = 10  # a run's seed is in units of 100 000; evaluation begins at 1 000 000
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
     """One training run. Everything that decides its result is in here, and in the run's config.json.
@@ -96,11 +99,11 @@ class TrainConfig:
         for options in every:
             require_positive(options, *(name for name in vars(options) if name not in not_positive))
         require_non_negative(self, "seed", "artificial")
-        if self.artificial and self.seed >= 10:
+        if self.artificial and self.seed >= MOST_SEEDS:
             raise ParameterError(
                 "seed",
                 self.seed,
-                "artificial earthquakes of seeds above 9 are those that runs are judged on",
+                f"artificial earthquakes from seed {MOST_SEEDS} on are those that runs are judged by",
             )
         require_non_negative(self.analytic, "memory", "checkpoint")
         require_non_negative(self.tqc, "dropped")

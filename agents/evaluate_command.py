@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
-from agents.options import ScenarioOptions
+from agents.options import ScenarioOptions, given_options
 from agents.progress import progress_bar
 
 
@@ -61,9 +61,7 @@ class Evaluate:
                 on_progress=on_progress,
             )
         given: dict[str, Any] = json.loads(json.dumps(self.scenario.__dict__))
-        result["scenario_options"] = {
-            key: value for key, value in given.items() if value not in (None, [])
-        }
+        result["scenario_options"] = given_options(given)
         console.print(markdown(result), highlight=False, soft_wrap=True)
         file = self.output or (None if self.json else Path("out/evaluate") / f"{scenario.name}.json")
         if file is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
@@ -92,3 +93,8 @@ def assignment(text: str) -> tuple[str, Any]:
         return path, json.loads(value)
     except json.JSONDecodeError:
         return path, value
+
+
+def given_options(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those fields of scenario options, as values or as JSON, that say something; a zero does."""
+    return {key: value for key, value in values.items() if value not in (None, (), [])}

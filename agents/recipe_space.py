@@ -14,9 +14,9 @@ from functools import lru_cache
 from typing import Any, get_args
 
 from agents.base_law import BaseLaw, base_law
-from agents.config import TrainConfig
+from agents.config import MOST_SEEDS, TrainConfig
 from agents.evaluate import optimal_cost
-from agents.recipes import MOST_SEEDS, Recipe
+from agents.recipes import Recipe
 from shake_env.errors import ParameterError, ShakeError
 
 Value = float | int | str

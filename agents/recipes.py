@@ -17,11 +17,9 @@ from agents.algorithm_options import (
     TD3Options,
     TQCOptions,
 )
-from agents.config import TrainConfig
+from agents.config import MOST_SEEDS, TrainConfig
 from agents.options import ScenarioOptions
 from shake_env.errors import ParameterError
-
-MOST_SEEDS = 10  # a run's seed is in units of 100 000; evaluation begins at 1 000 000
 
 
 @dataclass(frozen=True, kw_only=True)

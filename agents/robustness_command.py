@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
-from agents.options import ScenarioOptions
+from agents.options import ScenarioOptions, given_options
 from agents.progress import progress_bar
 from shake_env.errors import ParameterError
 
@@ -160,7 +160,7 @@ def _identity(command: Robustness, options: ScenarioOptions) -> dict[str, Any]:
     scenario = options.build()
     controllers, sources, _ = controllers_of(command.controllers, scenario)
     grid = Grid.of(scenario, command.quantities, command.maps)
-    given = {key: value for key, value in options.__dict__.items() if value not in (None, ())}
+    given = given_options(options.__dict__)
     identity: dict[str, Any] = json.loads(
         json.dumps(
             {

@@ -40,8 +40,9 @@ from shake_env.scenario import Scenario
 class Tunable:
     """A free parameter of a controller, searched between `low` and `high`.
 
-    At an end that is `natural` a part of the controller falls away: nothing lies beyond. A search that
-    comes to another end asks for a wider range (a test holds what was tuned against it).
+    At an end that is `natural` a part of the controller falls away, or what lies beyond is unfit for a
+    reason that no mean cost shows, told beside it. A search that comes to another end asks for a wider
+    range (a test holds what was tuned against it).
 
     Raises
     ------

@@ -1,143 +1,34 @@
 """Readers of recorded motions: every format, what they refuse and how, and files damaged at random."""
 
 import math
-import random
 import sys
-import time
 import types
-from pathlib import Path
 
 import numpy as np
 import pytest
+from record_texts import (
+    AT2,
+    CICLC,
+    CSV,
+    KNET,
+    V1,
+    V2,
+    at2_text,
+    csv_text,
+    fortran,
+    knet_counts,
+    knet_text,
+    only,
+    v1_channel,
+    v1_text,
+    v2_channel,
+    v2_text,
+    wave,
+)
 
 from shake_env.errors import ParameterError, RecordError
 from shake_env.parameters import GRAVITY
 from shake_env.records import RECORD_NAMES, Record, load_record, parse_motion, read_motion, write_record
-
-CICLC = Path(__file__).parent / "data" / "CICLC_trimmed.v1"
-
-
-def wave(points, scale=0.3, phase=0.0):
-    """Values of six decimals that no two lines share."""
-    time_ = np.arange(points)
-    values = scale * np.sin(0.37 * time_ + phase) * np.exp(-0.01 * time_) + 1e-4 * np.cos(time_**2)
-    return np.round(values, 6)
-
-
-def fortran(values, columns, width, decimals, end="\n"):
-    """Text of (columns F width.decimals), with no zero before the point, as CSMIP writes it."""
-    cells = [
-        f"{v:.{decimals}f}".replace("0.", ".", 1) if abs(v) < 1 else f"{v:.{decimals}f}" for v in values
-    ]
-    cells = [cell.rjust(width) for cell in cells]
-    assert all(len(cell) == width for cell in cells)
-    return "".join("".join(cells[i : i + columns]) + end for i in range(0, len(cells), columns))
-
-
-def at2_text(values, step=".01000", *, header="NPTS= {n:5d}, DT= {step} SEC", unit="G", points=None):
-    head = header.format(n=len(values) if points is None else points, step=step)
-    cells = [f"{v:15.7E}" for v in values]
-    body = "".join("".join(cells[i : i + 5]) + "\n" for i in range(0, len(cells), 5))
-    return (
-        "PEER NGA STRONG MOTION DATABASE RECORD\nEVENT 10/15/79 2319, STATION 6, 230\n"
-        f"ACCELERATION TIME HISTORY IN UNITS OF {unit}\n{head}\n{body}"
-    )
-
-
-NUMBERS = "    1  100    1    3    3  100 -999    3    1    0\n  .0050000  .7071000 319.32000\n"
-
-
-def v1_channel(values, number=1, label="90 Deg", rate=100, channels=3, **changed):
-    n = len(values)
-    peak = np.max(np.abs(values))
-    line = f"{n:6d} Accelerogram points at {rate} pts/sec in units of g.       Format: (8f9.6)"
-    return (
-        "Uncorrected Accelerogram Data             Processed: 07/06/19, CGS  made\n"
-        f"Station Id. XYZ  35.8N, 117.6W   Q330    s/n 4323  ({channels} Chns of  {channels} at Sta)\n"
-        f"Chan {number:2d}:  {label}\n"
-        f"No. of Points = {changed.get('points', n):6d}"
-        f"  Record Length ={changed.get('length', n / rate):7.3f} sec"
-        f"   at {changed.get('header_rate', rate)} Samples/sec\n"
-        "Units of uncor data are sec and g.         "
-        f"Max  = {changed.get('peak', f'{peak:.3f}')} g, at    1.000 sec.\n"
-        f"{NUMBERS}{changed.get('line', line)}\n{fortran(values, 8, 9, 6)}"
-        f"/&  ----------  End of Data for Station Channel   {number}  ----------\n"
-    )
-
-
-def v1_text(points=21, channels=3):
-    labels = ("90 Deg", "360 Deg", "Up")
-    series = [wave(points + k, phase=float(k)) for k in range(channels)]
-    text = "".join(
-        v1_channel(values, k + 1, labels[k], channels=channels) for k, values in enumerate(series)
-    )
-    return text, series
-
-
-def v2_channel(acceleration, number=1, step=".020", channels=2, unit="cm/sec2", **changed):
-    n = len(acceleration)
-    velocity, displacement = wave(n, 2.0, 0.3), wave(n, 0.5, 0.9)
-    counts = {"accel": n, "veloc": n, "displ": n, **changed.get("counts", {})}
-    blocks = ""
-    for kind, values, u in (
-        ("accel", acceleration, unit), ("veloc", velocity, "cm/sec"), ("displ", displacement, "cm"),
-    ):  # fmt: skip
-        if kind not in changed.get("without", ()):
-            blocks += f"{counts[kind]:6d} points of {kind} data equally spaced at  {step} sec"
-            blocks += f", in {u}. (8f10.6)\n"
-            blocks += fortran(values, 8, 10, 6 if np.max(np.abs(values)) < 100 else 5)
-    return (
-        f"Corrected accelerogram   XYZ      Chan {number:2d}:  H{number}    from\n"
-        "Uncorrected Accelerogram Data             Processed: 04/30/14, CGS  made\n"
-        f"Station Id. XYZ     34.0N, 117.9W       s/n 4310  ({channels} Chns of  {channels} at Sta)\n"
-        f"Chan {number:2d}:  H{number}\n"
-        f"                        Record length ={n * float(step):7.3f} sec.\n"
-        "                                     Uncor Max  =   .086 g , at  14.830 sec.\n"
-        f"{n:6d} points of instrument- and baseline-corrected accel, veloc and displ data\n"
-        f"At equally-spaced intervals of    {changed.get('spacing', step)}  sec.\n"
-        f"Peak acceleration = {changed.get('peak', f'{np.max(np.abs(acceleration)):9.3f}')}"
-        "    cm/sec/sec  at   1.0   sec.\n"
-        f"{NUMBERS}{blocks}/&  ----------  End of data for channel  {number}  ----------\n"
-    )
-
-
-def v2_text(points=19):
-    series = [wave(points, 80.0), wave(points, 30.0, 1.0)]
-    return "".join(v2_channel(values, k + 1) for k, values in enumerate(series)), series
-
-
-def knet_text(counts, *, scale="3920(gal)/6182761", rate="100Hz", duration=None, maximum=None):
-    above, below = scale.split("(gal)/")
-    factor = float(above) / float(below)
-    acceleration = np.asarray(counts) * factor
-    shown = maximum or f"{np.max(np.abs(acceleration - acceleration.mean())):.3f}"
-    lines = [
-        ("Origin Time", "2018/01/24 19:51:00"), ("Lat.", "41.0"), ("Long.", "142.5"),
-        ("Depth. (km)", "30"), ("Mag.", "6.2"), ("Station Code", "AOM001"),
-        ("Station Lat.", "41.5267"), ("Station Long.", "140.9244"), ("Station Height(m)", "39"),
-        ("Record Time", "2018/01/24 19:51:43"), ("Sampling Freq(Hz)", rate),
-        ("Duration Time(s)", str(len(counts) // 100 if duration is None else duration)), ("Dir.", "N-S"),
-        ("Scale Factor", scale), ("Max. Acc. (gal)", shown),
-        ("Last Correction", "2018/01/24 19:51:43"), ("Memo.", ""),
-    ]  # fmt: skip
-    head = "".join(f"{key:<18}{value}\n" for key, value in lines)
-    rows = ["".join(f"{c:8d} " for c in counts[i : i + 8]) + "\n" for i in range(0, len(counts), 8)]
-    return head + "".join(rows)
-
-
-def knet_counts(points=100):
-    return [13190 + round(4000 * math.sin(0.31 * i) * math.exp(-0.02 * i)) for i in range(points)]
-
-
-def csv_text(values, step=0.005, title="time [s],acceleration [g]", separator=","):
-    rows = (f"{i * step:.3f}{separator}{v:.6f}\n" for i, v in enumerate(values))
-    return f"{title}\n" * bool(title) + "".join(rows)
-
-
-def only(text, **options):
-    (record,) = parse_motion("made", text.encode(), **options)
-    return record
-
 
 # --- each format, read right ---------------------------------------------------------------------
 
@@ -322,12 +213,6 @@ def test_write_refuses_a_place_it_cannot_write_to(tmp_path):
 
 
 # --- what is refused, and how --------------------------------------------------------------------
-
-AT2 = at2_text(wave(23))
-V1 = v1_text()[0]
-V2 = v2_text()[0]
-KNET = knet_text(knet_counts())
-CSV = csv_text(wave(20))
 
 
 def without_line(text, number):
@@ -527,189 +412,3 @@ def test_gaps_and_damage_in_binary_files_are_refused(monkeypatch):
     fake_obspy(monkeypatch)
     with pytest.raises(RecordError, match="0 traces"):
         parse_motion("made", BINARY, units="g")
-
-
-# --- files damaged at random ---------------------------------------------------------------------
-
-
-def embedded_text(points=30):
-    lines = {
-        "event": "e", "station": "s", "component": "c", "network": "n", "licence": "l",
-        "sampling_interval_s": "0.005", "points": str(points), "units": "g",
-    }  # fmt: skip
-    head = "".join(f"# {key}: {value}\n" for key, value in lines.items())
-    return head + "acceleration\n" + "".join(f"{v:.6f}\n" for v in wave(points))
-
-
-BASES = {
-    "at2": AT2,
-    "at2 new": at2_text(wave(31), "0.0100", header="{n:5d}    {step}    NPTS, DT"),
-    "v1": V1,
-    "v2": V2,
-    "knet": KNET,
-    "csv": CSV,
-    "csv counted": "# points: 20\n" + CSV,
-    "embedded": embedded_text(),
-}
-STEP_IS_FREE = {"at2", "at2 new", "csv", "csv counted", "embedded"}  # said once, or by the times
-
-
-KINDS = ("cut", "flip", "flip", "delete line", "repeat line", "swap lines", "insert", "remove",
-         "edit number", "edit number")  # fmt: skip
-
-
-class Damage:
-    """One damaged file: what was done to it, and how many samples that may have changed."""
-
-    def __init__(self, rng, data):
-        self.kind = rng.choice(KINDS)
-        self.touched = 0
-        getattr(self, self.kind.replace(" ", "_"))(rng, data)
-
-    def cut(self, rng, data):
-        end = len(data) - rng.randrange(1, 12) if rng.random() < 0.3 else rng.randrange(len(data))
-        self.data = data[:end]
-
-    def flip(self, rng, data):
-        changed = bytearray(data)
-        for _ in range(rng.choice([1, 1, 2, 4])):
-            changed[rng.randrange(len(data))] = rng.choice([rng.randrange(256), *b"0123456789 -.,E\n"])
-            self.touched += 1
-        self.data = bytes(changed)
-
-    def _lines(self, rng, data):
-        lines = data.split(b"\n")
-        return lines, rng.randrange(len(lines) - 1)
-
-    def delete_line(self, rng, data):
-        lines, at = self._lines(rng, data)
-        self.data = b"\n".join(lines[:at] + lines[at + 1 :])
-
-    def repeat_line(self, rng, data):
-        lines, at = self._lines(rng, data)
-        self.data = b"\n".join(lines[: at + 1] + lines[at:])
-
-    def swap_lines(self, rng, data):
-        lines, at = self._lines(rng, data)
-        other = rng.randrange(len(lines) - 1)
-        lines[at], lines[other] = lines[other], lines[at]
-        self.touched = 16
-        self.data = b"\n".join(lines)
-
-    def insert(self, rng, data):
-        at = rng.randrange(len(data))
-        piece = bytes(rng.choice(b"0123456789 -.,E\n\0\xff") for _ in range(rng.choice([1, 1, 3, 9])))
-        self.touched = 10
-        self.data = data[:at] + piece + data[at:]
-
-    def remove(self, rng, data):
-        at = rng.randrange(len(data))
-        self.touched = 10
-        self.data = data[:at] + data[at + rng.choice([1, 1, 2, 9, 80]) :]
-
-    def edit_number(self, rng, data):
-        places = [
-            i for i in range(len(data)) if data[i : i + 1].isdigit() and not data[i - 1 : i].isdigit()
-        ]
-        at = rng.choice(places[: max(12, len(places) // 8)] if rng.random() < 0.7 else places)
-        end = at
-        while data[end : end + 1].isdigit():
-            end += 1
-        old = int(data[at:end])
-        new = rng.choice(
-            [old + 1, max(old - 1, 0), old * 10, 0, 10**30, -old, "nan", "inf", "", "1e9", "8f9.6"]
-        )
-        self.touched = 1
-        self.data = data[:at] + str(new).encode() + data[end:]
-
-
-def judge(name, base, damage, records):
-    """Raise AssertionError where what came out of a damaged file is neither right nor legal."""
-    counted = name != "csv"
-    assert all(r.sampling_interval > 0 and np.isfinite(r.acceleration).all() for r in records)
-    if not counted:
-        # No header says how many rows there are: a file that lost its last or first ones is legal.
-        assert len(records) == 1
-        if damage.kind in ("cut", "delete line", "remove"):
-            whole, found = base[0].acceleration, records[0].acceleration
-            lost = len(whole) - len(found)
-            ends_lost = np.array_equal(found, whole[: len(found)]) or np.array_equal(found, whole[lost:])
-            assert ends_lost or (lost >= 0 and damage.kind == "remove")
-        return
-    assert len(records) == len(base), "a channel was lost or won"
-    # A line of another block, of velocities, is as legal there: volume 2 is left to the count below.
-    if damage.kind == "swap lines" and name != "v2":
-        both = [np.sort(np.concatenate([r.acceleration for r in some])) for some in (records, base)]
-        assert np.array_equal(*both)
-        return
-    changed = 0
-    for found, right in zip(records, base, strict=True):
-        assert len(found.acceleration) == len(right.acceleration), "samples were lost or won"
-        if name not in STEP_IS_FREE:
-            assert found.sampling_interval == pytest.approx(right.sampling_interval, rel=1e-6)
-        differing = found.acceleration != right.acceleration
-        if differing.all():  # a scale factor, within what the header's peak allows
-            ratio = found.acceleration / right.acceleration
-            assert np.ptp(ratio) < 1e-9 and abs(ratio[0] - 1.0) < 0.03, "another scale"
-        else:
-            changed += int(differing.sum())
-    if damage.kind in ("cut", "delete line", "repeat line"):
-        assert changed == 0
-    assert changed <= damage.touched
-
-
-def fuzz(number, seed):
-    bases = {name: (text.encode(), parse_motion(name, text.encode())) for name, text in BASES.items()}
-    rng = random.Random(seed)
-    refused = 0
-    slowest = 0.0
-    for _ in range(number):
-        name = rng.choice(list(bases))
-        data, right = bases[name]
-        damage = Damage(rng, data)
-        began = time.perf_counter()
-        try:
-            records = parse_motion(name, damage.data)
-        except RecordError as error:
-            assert error.field.startswith(name) and error.remedy
-            refused += 1
-        else:
-            try:
-                judge(name, right, damage, records)
-            except AssertionError as wrong:
-                raise AssertionError(f"{name}, {damage.kind}: {wrong}\n{damage.data!r}") from wrong
-        slowest = max(slowest, time.perf_counter() - began)
-    return refused, slowest
-
-
-def test_2_000_damaged_files_give_the_right_data_or_a_record_error():
-    refused, slowest = fuzz(2_000, seed=0)
-    assert 1_000 < refused < 1_990
-    assert slowest < 5.0
-
-
-@pytest.mark.slow
-def test_100_000_damaged_files_give_the_right_data_or_a_record_error():
-    began = time.perf_counter()
-    refused, slowest = fuzz(100_000, seed=1)
-    print(
-        f"{refused} of 100000 refused, slowest {slowest:.3f} s, "
-        f"{time.perf_counter() - began:.0f} s in all"
-    )
-    assert slowest < 5.0
-
-
-def test_every_cut_of_a_counted_file_is_refused_or_leaves_the_data_whole():
-    for name, text in BASES.items():
-        if name == "csv":
-            continue
-        data = text.encode()
-        right = parse_motion(name, data)
-        for end in range(0, len(data), 1 if name in ("at2", "embedded") else 7):
-            try:
-                records = parse_motion(name, data[:end])
-            except RecordError:
-                continue
-            assert [r.acceleration.tobytes() for r in records] == [
-                r.acceleration.tobytes() for r in right
-            ]
