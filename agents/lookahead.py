@@ -67,9 +67,8 @@ def windowed_law(scenario: Scenario, window: int, discount: float) -> FloatArray
         closed = p.F - p.G @ K
         stage = Q - S @ K - K.T @ S.T + K.T @ R @ K
         to_go, total, weights = np.zeros_like(Q), np.zeros_like(Q), 0.0
-        for left in range(
-            window
-        ):  # periods that follow a place, whose own cost is discounted from the start
+        # Of each place, by the periods that follow it; its own cost is discounted from the start.
+        for left in range(window):
             weight = discount ** (window - 1 - left)
             total, weights = total + weight * to_go, weights + weight
             to_go = stage + discount * closed.T @ to_go @ closed

@@ -278,11 +278,8 @@ def _trial(
         found = None
     except (ParameterError, ScenarioError, RunDirectoryError):
         raise  # a mistake in what was asked, no property of the values
-    except (
-        PolicyFileError,
-        ValueError,
-        ArithmeticError,
-    ) as error:  # a network or a design that came to no numbers
+    # A network or a design that came to no numbers.
+    except (PolicyFileError, ValueError, ArithmeticError) as error:
         if trial.user_attrs.get("recipe"):
             raise  # nor is this
         reason = (str(error) or "no reason told").splitlines()[0]
