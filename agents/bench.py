@@ -12,6 +12,7 @@ from typing import Any
 
 import shake_env
 from agents.compare import CLAIRVOYANT, Comparison, GroupSummary, compare, plain_row
+from agents.marked_page import put
 from baselines.registry import reference_name
 from shake_env import make_scenario
 from shake_env.errors import ParameterError
@@ -106,20 +107,9 @@ def _microseconds(seconds: float | None) -> str:
 
 
 def put_tables(page: Path, results: Sequence[dict[str, Any]]) -> None:
-    """Replace what stands between a page's markers by the tables of results.
-
-    A table goes between ``<!-- bench NAME -->`` and ``<!-- end NAME -->``; a page without a result's
-    markers raises ParameterError.
-    """
-    text = page.read_text(encoding="utf-8")
+    """Put the tables of results into a page, each at ``<!-- bench NAME -->``; see `marked_page.put`."""
     for result in results:
-        name = result["scenario"]
-        begin, end = f"<!-- bench {name} -->\n", f"<!-- end {name} -->"
-        if begin not in text or end not in text:
-            raise ParameterError("page", str(page), f"has no markers {begin.strip()} and {end}")
-        before, rest = text.split(begin, 1)
-        text = before + begin + "\n" + markdown(result) + "\n" + end + rest.split(end, 1)[1]
-    page.write_text(text, encoding="utf-8")
+        put(page, f"bench {result['scenario']}", markdown(result), end=result["scenario"])
 
 
 def read_results(folder: Path) -> list[dict[str, Any]]:

@@ -9,12 +9,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from agents.marked_page import put
 from agents.recipe_space import Choice, Knob, Value, space_json, space_of
 from shake_env.errors import ParameterError
 
 FORMAT = "shake-recipe-search-1"
 PREFIX = "recipe_"  # of a trace's file name in docs/results
-BEGIN, END = "<!-- recipe searches -->\n", "<!-- end recipe searches -->"
 BEST = 4  # the best of so many trials that were judged are what the table calls the best quarter
 
 
@@ -211,21 +211,5 @@ def _chosen(knob: Choice, drawn: Sequence[Value]) -> str:
 
 
 def put_searches(page: Path, traces: Sequence[Trace], figures: str = "figures") -> None:
-    """Replace what stands between a page's markers by all searches.
-
-    They go between ``<!-- recipe searches -->`` and ``<!-- end recipe searches -->``.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such page, or it lacks the markers.
-    """
-    if not page.is_file():
-        raise ParameterError("page", str(page), "there is no such file")
-    text = page.read_text(encoding="utf-8")
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise ParameterError("page", str(page), f"put the markers {BEGIN.strip()} and {END} in it")
-    shown = "".join(f"\n{markdown(trace, figures)}" for trace in traces)
-    page.write_text(before + begin + shown + ("\n" if traces else "") + end + after, encoding="utf-8")
+    """Put all searches into a page, at ``<!-- recipe searches -->``; see `marked_page.put`."""
+    put(page, "recipe searches", "\n".join(markdown(trace, figures) for trace in traces))

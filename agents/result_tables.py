@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from shake_env.errors import ParameterError
+from agents.marked_page import has_place, put
 
 PREFIX = "evaluation_"  # of a result's file name in docs/results
 COLUMNS = (
@@ -100,28 +100,21 @@ def interval(found: dict[str, float] | None, digits: int, scale: float = 1.0) ->
 
 
 def put_tables(page: Path, results: dict[str, dict[str, Any]]) -> list[str]:
-    """Replace what stands between a page's markers by the tables of results.
-
-    A table goes between ``<!-- evaluation NAME -->`` and ``<!-- end NAME -->``.
+    """Put the tables of results into a page, each at ``<!-- evaluation NAME -->``.
 
     Returns
     -------
-    Names of results that the page has no markers for.
+    Names of results that the page has no place for.
 
     Raises
     ------
     ParameterError
-        If a begin has no end.
+        If a place has no end; see `marked_page.put`.
     """
-    text, missing = page.read_text(encoding="utf-8"), []
+    missing = []
     for name, result in results.items():
-        begin, end = f"<!-- evaluation {name} -->\n", f"<!-- end {name} -->"
-        if begin not in text:
+        if has_place(page, f"evaluation {name}"):
+            put(page, f"evaluation {name}", markdown(result), end=name)
+        else:
             missing.append(name)
-            continue
-        before, rest = text.split(begin, 1)
-        if end not in rest:
-            raise ParameterError("page", str(page), f"has no marker {end}")
-        text = before + begin + "\n" + markdown(result) + "\n" + end + rest.split(end, 1)[1]
-    page.write_text(text, encoding="utf-8")
     return missing

@@ -79,14 +79,9 @@ class Robustness:
         return result
 
     def _renew(self, console: Console) -> dict[str, Any]:
+        from agents.marked_page import put
         from agents.robustness_figure import draw_robustness
-        from agents.robustness_output import (
-            PREFIX,
-            put_section,
-            read_robustness,
-            section,
-            write_robustness,
-        )
+        from agents.robustness_output import PREFIX, read_robustness, section, write_robustness
 
         usual = type(self)()
         for name in ("scenario", "controllers", "quantities", "output"):
@@ -107,7 +102,8 @@ class Robustness:
                 console.print(f"{name}: as before, {file}")
             result = read_robustness(file)
             pictures = [p for p in draw_robustness(result, page.parent / "figures", svg=False)]
-            put_section(page, name, section(result, [p.relative_to(page.parent) for p in pictures]))
+            shown = section(result, [p.relative_to(page.parent) for p in pictures])
+            put(page, f"robustness {name}", shown, end=name)
             written += [str(path) for path in (file, *pictures)]
             console.print(f"wrote {file} and {len(pictures)} figures")
         console.print(f"wrote {page}: then renew the cards with shake card")

@@ -186,24 +186,6 @@ def section(result: dict[str, Any], pictures: Sequence[Path] = ()) -> str:
     return "\n".join(parts)
 
 
-def put_section(page: Path, name: str, text: str) -> None:
-    """Replace what stands on a page between ``<!-- robustness NAME -->`` and ``<!-- end NAME -->``.
-
-    Raises
-    ------
-    ParameterError
-        If the page lacks the markers or cannot be read.
-    """
-    begin, end = f"<!-- robustness {name} -->\n", f"<!-- end {name} -->"
-    if not page.is_file():
-        raise ParameterError("page", str(page), "there is no such file")
-    before, found, rest = page.read_text(encoding="utf-8").partition(begin)
-    _, closed, after = rest.partition(end)
-    if not (found and closed):
-        raise ParameterError("page", str(page), f"lacks {begin.strip()} or {end}")
-    page.write_text(before + begin + "\n" + text + "\n" + end + after, encoding="utf-8")
-
-
 def write_robustness(result: dict[str, Any], file: Path) -> None:
     """Write a result with a point on a line."""
     head = json.dumps({key: value for key, value in result.items() if key != "points"}, indent=1)[:-2]

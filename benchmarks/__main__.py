@@ -19,6 +19,7 @@ import gymnasium
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from agents.marked_page import put
 from benchmarks.arithmetic import closed_loops, kernel
 from benchmarks.decision import decisions
 from benchmarks.device import device
@@ -26,7 +27,7 @@ from benchmarks.environments import single, vectors
 from benchmarks.figure import draw
 from benchmarks.footprint import footprint
 from benchmarks.learning import learning
-from benchmarks.page import put, tables
+from benchmarks.page import tables
 from benchmarks.peers import peers
 from benchmarks.scaling import scaling
 
@@ -105,7 +106,8 @@ def main() -> None:
     for name, lines in made.items():
         print(f"\n{name}\n", *lines, sep="\n")
     if asked.page:
-        put(asked.page, made)
+        for name, lines in made.items():
+            put(asked.page, name, "\n".join(lines))
     if asked.figure:
         asked.figure.mkdir(parents=True, exist_ok=True)
         print(draw(found, asked.figure), file=sys.stderr)

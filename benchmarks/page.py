@@ -1,9 +1,8 @@
-"""The measured numbers as Markdown tables, put between a page's markers."""
+"""The measured numbers as Markdown tables."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 from textwrap import wrap
 from typing import Any
 
@@ -26,24 +25,6 @@ def tables(found: dict[str, Any]) -> dict[str, list[str]]:
     }  # fmt: skip
     made = {name: make(found[name]) for name, make in makers.items() if name in found}
     return {"goals": _goals(found), **made}
-
-
-def put(page: Path, made: dict[str, list[str]]) -> None:
-    """Replace what stands between ``<!-- NAME -->`` and ``<!-- end NAME -->`` by the tables.
-
-    Raises
-    ------
-    ValueError
-        If the page lacks a table's markers.
-    """
-    text = page.read_text(encoding="utf-8")
-    for name, lines in made.items():
-        begin, end = f"<!-- {name} -->\n", f"<!-- end {name} -->"
-        if begin not in text or end not in text:
-            raise ValueError(f"{page} has no markers {begin.strip()} and {end}")
-        before, rest = text.split(begin, 1)
-        text = before + begin + "\n" + "\n".join(lines) + "\n\n" + end + rest.split(end, 1)[1]
-    page.write_text(text, encoding="utf-8")
 
 
 def _goals(found: dict[str, Any]) -> list[str]:

@@ -131,7 +131,7 @@ def test_a_page_without_markers_is_refused(tmp_path):
     }  # fmt: skip
     assert "| x | 1.000 [1.000, 1.000] |" in markdown(result)
     assert "`x` takes 8 tests" in markdown(result) and "6.0 times the energy" in markdown(result)
-    with pytest.raises(ParameterError, match="markers"):
+    with pytest.raises(ParameterError, match="put the lines"):
         put_tables(page, [result])
 
 

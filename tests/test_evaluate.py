@@ -161,7 +161,7 @@ def test_tables_stand_between_markers_and_come_from_files(result, tmp_path):
     put_tables(page, read)
     assert page.read_text() == text
     page.write_text("<!-- evaluation linear -->\n")
-    with pytest.raises(ParameterError, match="has no marker <!-- end linear -->"):
+    with pytest.raises(ParameterError, match="<!-- evaluation linear --> and <!-- end linear -->"):
         put_tables(page, read)
 
 

@@ -345,7 +345,7 @@ def test_a_page_gets_its_searches_between_the_markers(tmp_path):
         "before\n<!-- recipe searches -->\n<!-- end recipe searches -->\nafter\n"
     )
     page.write_text("nothing\n")
-    with pytest.raises(ParameterError, match="put the markers"):
+    with pytest.raises(ParameterError, match="put the lines"):
         put_searches(page, [made()])
 
 

@@ -1,0 +1,44 @@
+"""Pages of the documentation with places that commands write: what stands between two comments."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from shake_env.errors import ParameterError
+
+
+def has_place(page: Path, place: str) -> bool:
+    """Whether a page has a beginning ``<!-- PLACE -->``; False where there is no page."""
+    return page.is_file() and _begin(place) in page.read_text(encoding="utf-8")
+
+
+def put(page: Path, place: str, text: str, end: str | None = None) -> None:
+    r"""Replace what stands on a page between ``<!-- PLACE -->`` and ``<!-- end END -->``.
+
+    Parameters
+    ----------
+    page, place
+        The file, and the name of its place, of which it has one.
+    text
+        What stands there from now on, whole lines; empty lines are put around it.
+    end
+        Name in the closing comment; None: as in the first.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such page, or it lacks one of the comments.
+    """
+    begin, close = _begin(place), f"<!-- end {end or place} -->"
+    if not page.is_file():
+        raise ParameterError("page", str(page), "there is no such file")
+    before, found, rest = page.read_text(encoding="utf-8").partition(begin)
+    _, closed, after = rest.partition(close)
+    if not (found and closed):
+        raise ParameterError("page", str(page), f"put the lines {begin.strip()} and {close} in it")
+    body = f"\n{text.strip()}\n\n" if text.strip() else ""
+    page.write_text(before + begin + body + close + after, encoding="utf-8")
+
+
+def _begin(place: str) -> str:
+    return f"<!-- {place} -->\n"
