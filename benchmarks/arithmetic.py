@@ -12,10 +12,12 @@ from baselines.linear_batch import mean_squares
 from baselines.lqr import sampled_lqr
 from benchmarks.timing import seconds_each
 from shake_env import make_scenario
-from shake_env.discretization import DiscreteStateSpace, zero_order_hold
+from shake_env.discretization import DiscretePlant, DiscreteStateSpace, zero_order_hold
 from shake_env.simulation import Simulation
 
 TABLES = 1024
+CONTROLLED = "augmented product, controlled table alone"  # what an action reaches: 4 + 2 n_m states
+FULL = "augmented product, with ground and reference"
 
 
 def kernel(spell: float, spells: int) -> dict[str, float]:
@@ -27,14 +29,12 @@ def kernel(spell: float, spells: int) -> dict[str, float]:
     simulation.start(range(TABLES), [np.random.default_rng(i) for i in range(TABLES)])
     fused, still = simulation._fused, np.zeros(TABLES)
     store, row = simulation.excitation.take()
-    matrix = simulation.model.dynamics.matrix
-    columns = np.zeros((matrix.shape[1], TABLES))
-    moved = np.empty((len(matrix), TABLES))
-    ground = simulation.excitation.maps.noise
+    matrix, ground = simulation.model.dynamics.matrix, simulation.excitation.maps.noise
     step = TABLES * matrix.size
     work: dict[str, tuple[Any, int]] = {
         "matrix product 768 x 768": (lambda: np.matmul(a, a, out=product), 768**3),
-        "augmented product, numpy": (lambda: np.matmul(matrix, columns, out=moved), step),
+        CONTROLLED: (_product(matrix), step),
+        FULL: (_product(whole := _whole(scenario.discrete)), TABLES * whole.size),
         "whole step, with its ground": (lambda: simulation.step(still), step + TABLES * ground.size),
     }
     if fused is not None:
@@ -42,6 +42,18 @@ def kernel(spell: float, spells: int) -> dict[str, float]:
         work["step without its ground"] = (lambda: fused.step(store, *quiet[:1], row, 0), step)
     times = seconds_each({name: call for name, (call, _) in work.items()}, spell, spells)
     return {name: work[name][1] / each / 1e9 for name, each in times.items()}
+
+
+def _whole(discrete: DiscretePlant) -> np.ndarray:
+    """Return one control period of all states, and the two errors after each physics step, as a map."""
+    errors = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
+    lifted = discrete.lifted
+    return np.vstack([lifted.state, *(errors @ outputs for outputs in lifted.outputs)])
+
+
+def _product(matrix: np.ndarray) -> Callable[[], object]:
+    columns, moved = np.zeros((matrix.shape[1], TABLES)), np.empty((len(matrix), TABLES))
+    return lambda: np.matmul(matrix, columns, out=moved)
 
 
 def loop(stories: int = 2) -> DiscreteStateSpace:
