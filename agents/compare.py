@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,14 +15,14 @@ import shake_env
 from agents.fidelity import Fidelity, fidelity
 from agents.frames import Rows, to_frame
 from agents.free_design import FOUND, FREE, found_by_search
-from agents.policy_file import load_policy
-from agents.shipped import SHIPPED, shipped_policy
+from agents.named_controller import named_controller, require_controller
+from agents.shipped import SHIPPED
 from baselines.catalogue import BASELINES
 from baselines.clairvoyant import clairvoyant
 from baselines.drive_file import DriveFile
 from baselines.registry import make_baseline, reference_name, tuned_parameters
 from shake_env.controller import Controller
-from shake_env.errors import ParameterError, PolicyFileError, ScenarioError, ShakeError, unknown
+from shake_env.errors import ParameterError, PolicyFileError, ShakeError
 from shake_env.metrics import EpisodeMetrics
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
 from shake_env.scenario import Scenario
@@ -121,10 +120,9 @@ def named_controllers(
     Parameters
     ----------
     names
-        Names of `baselines.catalogue`, ``all`` for every one of them that suits the scenario and what an
-        independent search has found for it, ``policy``, ``analytic`` and ``off-policy`` (those that
-        ship), ``clairvoyant``, ``free`` or ``free-force`` (`agents.free_design`), or paths of policy
-        files and run directories. The reference, which costs are relative to, is always among them.
+        As `named_controller` takes them; ``all`` for every law of `baselines.catalogue` that suits the
+        scenario and what an independent search has found for it; ``clairvoyant``. The reference, which
+        costs are relative to, is always among them.
     scenario
         What they drive. What ``all`` or ``policy`` stand for is left out where it does not suit; what is
         named raises.
@@ -155,31 +153,17 @@ def named_controllers(
                 controllers |= {each: found_by_search(scenario, each) for each in FOUND}
         elif name == CLAIRVOYANT:
             continue  # runs on a scenario of its own: `compare` sees to it
-        elif name in FOUND:
-            controllers[name] = found_by_search(scenario, name)
-        elif name in SHIPPED:
-            policy = load_policy(shipped_policy(name, scenario.name))
+        elif name == "lqr" and not scenario.sensing.full_state:
+            # A default that names LQR should not stop a scenario that does not show its state.
+            skipped.append(f"lqr (the scenario shows measured signals: {reference} estimates it)")
+        elif name not in controllers:
+            require_controller(name, ALL, CLAIRVOYANT)
             try:
-                policy.check(scenario)
-                controllers[name] = policy
+                controllers[name] = named_controller(name, scenario, earthquakes)
             except PolicyFileError as error:
+                if name not in SHIPPED:
+                    raise
                 skipped.append(f"the shipped {name} ({error})")
-        elif name in BASELINES:
-            if name == "lqr" and not scenario.sensing.full_state:
-                # A default that names LQR should not stop a scenario that does not show its state.
-                skipped.append(f"lqr (the scenario shows measured signals: {reference} estimates it)")
-                continue
-            if name not in controllers:
-                controllers[name] = make_baseline(name, scenario, None, earthquakes)
-        elif not (Path(name).exists() or "/" in name or "." in name):
-            raise unknown(
-                ScenarioError, "controller", name, [*BASELINES, ALL, CLAIRVOYANT, *FOUND, *SHIPPED]
-            )
-        else:
-            path = Path(name)
-            policy = load_policy(path / "policy.safetensors" if path.is_dir() else path)
-            policy.check(scenario)
-            controllers[name] = policy
     return controllers, skipped
 
 

@@ -17,7 +17,8 @@ from agents.bench import TEST_SEED
 from agents.code_version import code_version
 from agents.compare import CLAIRVOYANT, decision_time, plain_row
 from agents.fidelity import fidelity
-from agents.free_design import FOUND, found_by_search
+from agents.free_design import FOUND
+from agents.named_controller import named_controller, require_controller
 from agents.policy_file import PolicyFile, load_policy
 from agents.scores import Episodes, cost_figures, summary
 from agents.shipped import SHIPPED, shipped_policy
@@ -25,9 +26,9 @@ from baselines.catalogue import BASELINES
 from baselines.clairvoyant import clairvoyant
 from baselines.lqr import sampled_lqr
 from baselines.preview_lqr import preview_lqr
-from baselines.registry import make_baseline, reference_name
+from baselines.registry import reference_name
 from shake_env.controller import Controller
-from shake_env.errors import ParameterError, PolicyFileError, ScenarioError, unknown
+from shake_env.errors import ParameterError, PolicyFileError
 from shake_env.motion import FilteredNoise
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
 from shake_env.scenario import Scenario
@@ -76,8 +77,8 @@ def contestant(text: str, scenario: Scenario) -> Contestant:
     if text in SHIPPED:
         return _learned(text, [shipped_policy(text, scenario.name)], scenario)
     name, separator, paths = text.rpartition("=")
-    if not separator and not (Path(text).exists() or "/" in text or "." in text):
-        raise unknown(ScenarioError, "entry", text, [*BASELINES, CLAIRVOYANT, *FOUND, *SHIPPED])
+    if not separator:
+        require_controller(text, CLAIRVOYANT)
     files = [file for path in paths.split(",") for file in policy_files(Path(path))]
     return _learned(name or Path(paths.split(",")[0]).stem, files, scenario)
 
@@ -311,17 +312,13 @@ def _controller(
         return scenario, each.policies[run]
     if each.name == CLAIRVOYANT:
         return clairvoyant(scenario, quakes)
-    if each.name in FOUND:
-        return scenario, found_by_search(scenario, each.name)
-    return scenario, make_baseline(each.name, scenario, None, quakes)
+    return scenario, named_controller(each.name, scenario, quakes)
 
 
 def _latency(each: Contestant, scenario: Scenario) -> float | None:
     """Return the median time [s] of one decision; None for what is made for its own earthquakes."""
     if each.policies:
         return decision_time(each.policies[0], scenario)
-    if each.name in FOUND:
-        return decision_time(found_by_search(scenario, each.name), scenario)
-    if each.name == CLAIRVOYANT or BASELINES[each.name].repeats_tests:
+    if each.name == CLAIRVOYANT or (each.name in BASELINES and BASELINES[each.name].repeats_tests):
         return None
-    return decision_time(make_baseline(each.name, scenario), scenario)
+    return decision_time(named_controller(each.name, scenario), scenario)

@@ -31,12 +31,13 @@ class Export:
 
     def run(self, console: Console) -> dict[str, Any]:
         """Write, and say what the graph takes and gives."""
+        from agents.named_controller import file_of
         from agents.onnx_export import export_onnx
         from agents.policy_file import load_policy
 
         if self.output.suffix != ".onnx":
             raise ParameterError("output", str(self.output), "must end in .onnx")
-        policy = load_policy(_file(self.policy))
+        policy = load_policy(file_of(self.policy))
         self.output.parent.mkdir(parents=True, exist_ok=True)
         export_onnx(policy, self.output)
         states = 0 if policy.memory is None else policy.memory.arrays
@@ -82,8 +83,9 @@ class Card:
     def run(self, console: Console) -> dict[str, Any]:
         """Write the card."""
         from agents.card import write_card
+        from agents.named_controller import file_of
 
-        policy = _file(str(self.policy))
+        policy = file_of(str(self.policy))
         robustness = self.robustness or _known_robustness(policy)
         files = write_card(policy, self.result, self.limits, robustness)
         for file in files:
@@ -100,12 +102,3 @@ def _known_robustness(policy: Path) -> Path | None:
     trained = load_policy(policy).card.get("config", {}).get("scenario", {}).get("scenario", "linear")
     file = Path("docs/results") / f"{PREFIX}{trained}.json"
     return file if file.is_file() and robustness_of(file, digest(policy)) else None
-
-
-def _file(text: str) -> Path:
-    from agents.shipped import SHIPPED, shipped_policy
-
-    if text in SHIPPED:
-        return shipped_policy(text)
-    path = Path(text)
-    return path / "policy.safetensors" if path.is_dir() else path

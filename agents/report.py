@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from agents.compare import CLAIRVOYANT, Comparison, Histories
 from agents.fidelity import spectrum
+from agents.named_controller import file_of
 from agents.policy_file import PolicyFile, load_policy
 from agents.report_estimates import (
     Drawn,
@@ -21,7 +22,7 @@ from agents.report_estimates import (
     mean_interval,
 )
 from agents.report_traces import Channel, Curves, achieved_curves, target_curves
-from agents.shipped import SHIPPED, shipped_policy
+from agents.shipped import SHIPPED
 from agents.verdict import Verdict, verdict
 from shake_env.errors import PolicyFileError
 from shake_env.rollout import Earthquake
@@ -218,8 +219,7 @@ def policy_files_of(episodes: Iterable[str], scenario_name: str) -> dict[str, Po
     """Return the policies among the controllers' names, those that ship as the scenario has them."""
     found = {}
     for name in episodes:
-        path = shipped_policy(name, scenario_name) if name in SHIPPED else Path(name)
-        file = path / "policy.safetensors" if path.is_dir() else path
+        file = file_of(name, scenario_name)
         if name not in SHIPPED and file.suffix != ".safetensors":
             continue
         try:

@@ -11,7 +11,6 @@ import os
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ import shake_env
 from agents.code_version import code_version
 from agents.compare import CLAIRVOYANT, named_controllers
 from agents.evaluate import digest
+from agents.named_controller import file_of
 from agents.policy_file import PolicyFile
 from agents.shipped import SHIPPED, shipped_policy
 from agents.unlike import QUANTITIES, Change, altered, nominal_value, training_range
@@ -128,13 +128,11 @@ def controllers_of(
     sources = {}
     for name, controller in controllers.items():
         if isinstance(controller, PolicyFile):
-            path = shipped_policy(name, scenario.name) if name in SHIPPED else Path(name)
-            file = path / "policy.safetensors" if path.is_dir() else path
             config = controller.card.get("config", {})
             sources[name] = {
                 "algorithm": config.get("algorithm"),
                 "seed": config.get("seed"),
-                "sha256": digest(file),
+                "sha256": digest(file_of(name, scenario.name)),
             }
     return controllers, sources, skipped
 

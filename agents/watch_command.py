@@ -18,7 +18,7 @@ from rich.markup import escape
 from agents.film import FILMS, film
 from agents.options import ScenarioOptions
 from agents.progress import progress_bar
-from baselines.registry import BASELINES, make_baseline, reference_name
+from baselines.registry import reference_name
 from shake_env import ShakeTableEnv
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError, ScenarioError, unknown
@@ -26,8 +26,6 @@ from shake_env.motion import Motion
 from shake_env.rendering import FRAME_RATE, NO_DISPLAY, Window
 from shake_env.rollout import recorded_earthquakes
 from shake_env.scenario import Scenario
-
-SHIPPED = "policy"  # name of the policy that comes with the package
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +41,9 @@ class Watch:
 
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
     controller: str | None = None
-    """Name of a classical controller, policy (the shipped one), or the path of a policy file or run
-    directory (default: LQR, with an estimator where the scenario shows measured signals)."""
+    """Name of a classical controller, policy, analytic or off-policy (those that ship), or the path of a
+    policy file or run directory (default: LQR, with an estimator where the scenario shows measured
+    signals)."""
     record: str | None = None
     """Embedded record to repeat in place of the scenario's motion, scaled to the table's limits."""
     seed: int = 0
@@ -73,11 +72,13 @@ class Watch:
             raise ScenarioError("watch", "drawing", str(missing)) from None
 
     def _run(self, console: Console) -> dict[str, Any]:
+        from agents.named_controller import named_controller
+
         scenario = self.scenario.build()
         rate = FRAME_RATE if self.save is None else FILMS[self.save.suffix.lower()]
         episode = Episode(
             scenario,
-            chosen_controller(self.controller, scenario),
+            named_controller(self.controller or reference_name(scenario), scenario),
             seed=self.seed,
             motion=None if self.record is None else recorded(self.record, scenario),
             frame_rate=rate * self.slow_motion,
@@ -169,30 +170,6 @@ class Episode:
             for _ in range(max(due - shown, int(over))):
                 yield env.render()  # type: ignore[misc]
             shown = max(due, shown)
-
-
-def chosen_controller(name: str | None, scenario: Scenario) -> Controller:
-    """Return the controller of a name or path.
-
-    Raises
-    ------
-    ScenarioError
-        If the name is unknown, or the controller does not suit the scenario.
-    PolicyFileError
-        If a policy cannot be read or does not fit the scenario.
-    """
-    from agents.policy_file import load_policy
-    from agents.shipped import shipped_policy
-
-    name = reference_name(scenario) if name is None else name
-    if name in BASELINES:
-        return make_baseline(name, scenario)
-    if name != SHIPPED and not (Path(name).exists() or "/" in name or "." in name):
-        raise unknown(ScenarioError, "controller", name, [*BASELINES, SHIPPED])
-    path = shipped_policy(name, scenario.name) if name == SHIPPED else Path(name)
-    policy = load_policy(path / "policy.safetensors" if path.is_dir() else path)
-    policy.check(scenario)
-    return policy
 
 
 def recorded(name: str, scenario: Scenario) -> Motion:
