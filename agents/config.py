@@ -67,6 +67,9 @@ class TrainConfig:
     training episode is drawn from (see `artificial`)."""
     state_limit: float = 12.0
     """A training episode ends when a scaled state leaves this bound [multiples of its rms]."""
+    mirrored: bool = False
+    """Whether what is evaluated and kept is the policy averaged with its mirror image (see `mirror`):
+    what a learner's noise leaves of even is error. Not for one with a memory."""
     hidden: tuple[int, ...] = (64, 64)
     """Width of each hidden layer."""
     evaluations: int = 20
@@ -114,6 +117,8 @@ class TrainConfig:
         for options in every:
             if not 0.0 < options.authority <= 1.0:
                 raise ParameterError("authority", options.authority, "must lie above 0 and not above 1")
+        if self.mirrored and self.remembers:
+            raise ParameterError("mirrored", True, "a policy with a memory would need two: leave it out")
         if not self.hidden or min(self.hidden) < 1:
             raise ParameterError("hidden", self.hidden, "give the width of each layer, e.g. 64 64")
 
@@ -122,6 +127,12 @@ class TrainConfig:
         """The options of the algorithm in use."""
         options: Options = getattr(self, self.algorithm.replace("-", "_"))
         return options
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the policy has a memory."""
+        recurrent = self.algorithm == "recurrent-ppo"
+        return recurrent or (self.algorithm == "analytic" and self.analytic.memory > 0)
 
     @property
     def steps(self) -> int:

@@ -120,6 +120,7 @@ _SOFT = ("limits.soft_share=0.8", "limits.soft_weight=0.05")
 _WHOLE_NOISE = "the length of the test's earthquakes: a table that minds no place walks further in them"
 _LESS_NOISE = "four times the roll-out: what is left above the optimum is the noise of its gradients"
 _LONG = "as many steps as a quarter of an hour has"
+_NO_SIDES = "averaged with its mirror image, for a table has no sides"
 _BIASES = "biases, for friction and limits do not scale with the motion"
 
 
@@ -164,13 +165,28 @@ RECIPES: tuple[Recipe, ...] = (
     ),
     _recipe(
         "linear",
-        TrainConfig(ppo=_many_tables(), horizon=0.3, total_steps=24_000_000),
+        TrainConfig(ppo=_many_tables(), horizon=0.3, total_steps=24_000_000, mirrored=True),
         7.0,
-        _LESS_NOISE,
+        f"{_LESS_NOISE}; {_NO_SIDES}",
     ),
     _recipe("linear", TrainConfig(algorithm="sac", total_steps=700_000), 12.0, _LONG),
-    _recipe("linear", TrainConfig(algorithm="td3"), 4.0),
-    _recipe("linear", TrainConfig(algorithm="tqc", total_steps=500_000), 12.0, _LONG),
+    _recipe(
+        "linear",
+        TrainConfig(
+            algorithm="td3",
+            td3=TD3Options(exploration=0.2, target_noise=0.2, target_noise_clip=0.5),
+            total_steps=700_000,
+            mirrored=True,
+        ),
+        11.0,
+        f"{_LONG}; {_NO_SIDES}; with half the exploration it stands at twice LQR's cost for long",
+    ),
+    _recipe(
+        "linear",
+        TrainConfig(algorithm="tqc", total_steps=500_000, mirrored=True),
+        12.0,
+        f"{_LONG}; {_NO_SIDES}",
+    ),
     _recipe("linear", TrainConfig(algorithm="recurrent-ppo"), 6.0),
     _recipe(
         "friction",

@@ -24,6 +24,7 @@ from agents.checkpoint import checkpoints, load_checkpoint, save_checkpoint
 from agents.code_version import code_version
 from agents.config import TrainConfig, read_config
 from agents.export import export_policy
+from agents.mirror import mirror_averaged
 from agents.models import Model, new_model
 from agents.policy_file import load_policy
 from agents.progress import Progress
@@ -261,6 +262,8 @@ class _Watch(BaseCallback):
     def evaluate(self) -> None:
         """Write the policy's mean cost on the fixed earthquakes down, and keep it if it is the best."""
         policy = export_policy(self.model, self.tables, {})
+        if self.config.mirrored:
+            policy = mirror_averaged(policy)
         metrics, found = rollout(policy, self.scenario, self.earthquakes, record=(0,))
         cost = float(np.mean([m.cost for m in metrics]))
         self.cost_ratio = cost / self.reference_cost
