@@ -129,6 +129,7 @@ def card_text(
     changed = ", ".join(f"{key} = {value}" for key, value in scenario.items())
     memory = "none" if policy.memory is None else f"{policy.memory.kind}, {policy.memory.units} units"
     widths = "x".join(str(len(bias)) for bias in policy.biases[:-1])
+    twice = ", one and its mirror image" if config.get("mirrored") else ""
     lines = [
         f"# {file.stem}",
         "",
@@ -140,7 +141,7 @@ def card_text(
         f"| seed | {config.get('seed', 'unknown')} |",
         f"| code | version {card.get('version', 'unknown')} ({card.get('code') or 'unknown'}) |",
         f"| observation | {policy.observation_size} numbers at {card.get('control_rate', 0.0):g} Hz |",
-        f"| network | {widths} {policy.activation}, memory: {memory} |",
+        f"| network | {widths} {policy.activation}{twice}, memory: {memory} |",
         f"| base law | {config_base(config)}, corrected by {policy.authority:g} of the limit |",
         f"| SHA-256 | `{sha}` |",
         "",
