@@ -20,7 +20,8 @@ from agents.shipped import shipped_policy
 from benchmarks.timing import seconds_each
 
 SHIPPED = {
-    "linear, 64 x 64": ("policy", "linear"),
+    "linear, 64 x 64": ("analytic", "linear"),
+    "linear, 128 x 128, one and its mirror image": ("policy", "linear"),
     "laboratory, behind an estimator": ("analytic", "laboratory"),
     "unknown-specimen, estimator and memory": ("analytic", "unknown-specimen"),
 }
@@ -35,8 +36,10 @@ def sb3_model(policy: PolicyFile) -> tuple[Any, ShakeTableVecEnv]:
     The inverse of `export_policy`: sizes of features and the direct path's gain leave the weights.
     """
     config = config_of(policy.card["config"])
-    # SB3 warns of minibatches that a single table's roll-out does not fill; none is taken here.
-    config = replace(config, ppo=replace(config.ppo, batch_size=config.ppo.rollout_steps))
+    # SB3 warns of minibatches that a single table's roll-out does not fill; none is taken here. A file's
+    # layers are wider than its run's where it is averaged with its mirror image.
+    ppo = replace(config.ppo, batch_size=config.ppo.rollout_steps)
+    config = replace(config, ppo=ppo, hidden=tuple(len(bias) for bias in policy.biases[:-1]))
     scenario = config.scenario.build()
     env = ShakeTableVecEnv(
         scenario,

@@ -245,7 +245,7 @@ def edited(tmp_path, change):
     [
         (lambda h: h.update(format="other"), "format = 'other'"),
         (lambda h: h.update(layers=99), "lacks 'weight.3'"),
-        (lambda h: h.update(layers=2), "outputs = 64"),
+        (lambda h: h.update(layers=2), "outputs = 128"),
         (lambda h: h.update(activation="eval"), "activation = 'eval'"),
         (lambda h: h.pop("card"), "lacks 'card'"),
     ],

@@ -1,6 +1,7 @@
 """The protocol: against `shake compare`'s figures, against J*, and what a result file holds."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -190,4 +191,4 @@ def test_the_command_writes_what_it_prints(tmp_path, capsys):
     assert json.loads(file.read_text()) == found
     assert found["scenario_options"] == {"scenario": "linear", "duration": 1.0}
     assert main([*words, "--output", str(file)]) == 0
-    assert "| policy | 1 | 1." in capsys.readouterr().out
+    assert re.search(r"\| policy \| 1 \| [01]\.", capsys.readouterr().out)
