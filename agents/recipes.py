@@ -7,7 +7,7 @@ with its reason. Minutes are for planning: one process on one core, from the rat
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from agents.algorithm_options import (
     AnalyticOptions,
@@ -111,11 +111,11 @@ def _recipe(
 
 # The whole of a laboratory's envelope: rise, strong part and decay. Many earthquakes choose the policy
 # that is kept, for what is lost is lost rarely; and the last part of the stroke costs before it ends.
-_WHOLE = {"episode": 15.0, "evaluation_earthquakes": 128}
+_WHOLE: dict[str, Any] = {"episode": 15.0, "evaluation_earthquakes": 128}
 _EARLY = ("limits.soft_share=0.7", "limits.soft_weight=0.02")
 # And what a table may be asked for beside it: earthquakes that use all of its stroke, whose last fifth
 # costs.
-_STROKE = {"episode": 15.0, "artificial": 24, "evaluation_earthquakes": 64}
+_STROKE: dict[str, Any] = {"episode": 15.0, "artificial": 24, "evaluation_earthquakes": 64}
 _SOFT = ("limits.soft_share=0.8", "limits.soft_weight=0.05")
 _WHOLE_NOISE = "the length of the test's earthquakes: a table that minds no place walks further in them"
 _LESS_NOISE = "four times the roll-out: what is left above the optimum is the noise of its gradients"
@@ -149,9 +149,11 @@ def _correction(memory: int = 0, authority: float = 0.2) -> AnalyticOptions:
 _SMALL = 0.02
 
 
-def _corrected() -> PPOOptions:
-    """Return PPO's options for the same correction."""
-    return PPOOptions(base="free", authority=_SMALL, scale_free=False)
+def _corrected(arena: str, minutes: float, usual: dict[str, Any], otherwise: tuple[str, ...]) -> Recipe:
+    """Return the recipe of PPO for the same correction, within about what gradients need for it."""
+    options = PPOOptions(base="free", authority=_SMALL, scale_free=False)
+    config = TrainConfig(ppo=options, mirrored=True, **usual)
+    return _recipe(arena, config, minutes, _EXPLORES_LITTLE, otherwise=otherwise)
 
 
 def _many_tables(scale_free: bool = True) -> PPOOptions:
@@ -226,13 +228,7 @@ RECIPES: tuple[Recipe, ...] = (
         label="analytic-force",
         otherwise=("objective.force_weight=30", *_SOFT),
     ),
-    _recipe(
-        "laboratory",
-        TrainConfig(ppo=_corrected(), mirrored=True, **_WHOLE),
-        3.0,
-        _EXPLORES_LITTLE,
-        otherwise=_EARLY,
-    ),
+    _corrected("laboratory", 3.0, _WHOLE, _EARLY),
     _recipe(
         "unknown-specimen",
         TrainConfig(
@@ -245,13 +241,7 @@ RECIPES: tuple[Recipe, ...] = (
         "a memory: what a specimen weighs lies in how the table answered, not in what it shows now",
         otherwise=_SOFT,
     ),
-    _recipe(
-        "unknown-specimen",
-        TrainConfig(ppo=_corrected(), mirrored=True, **_STROKE),
-        4.0,
-        _EXPLORES_LITTLE,
-        otherwise=_SOFT,
-    ),
+    _corrected("unknown-specimen", 4.0, _STROKE, _SOFT),
     _recipe(
         "unknown-specimen",
         TrainConfig(
@@ -273,13 +263,7 @@ RECIPES: tuple[Recipe, ...] = (
         "corrects the best law that a search found",
         otherwise=_EARLY,
     ),
-    _recipe(
-        "yielding",
-        TrainConfig(ppo=_corrected(), mirrored=True, **_WHOLE),
-        3.0,
-        _EXPLORES_LITTLE,
-        otherwise=_EARLY,
-    ),
+    _corrected("yielding", 3.0, _WHOLE, _EARLY),
     # The realistic scenario that shows the whole state. From nothing, a critic cannot tell good currents
     # from bad before the tables are lost.
     *(
