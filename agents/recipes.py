@@ -206,9 +206,11 @@ RECIPES: tuple[Recipe, ...] = (
     ),
     _recipe(
         "friction",
-        TrainConfig(ppo=_many_tables(scale_free=False), horizon=0.3, total_steps=24_000_000),
+        TrainConfig(
+            ppo=_many_tables(scale_free=False), horizon=0.3, total_steps=24_000_000, mirrored=True
+        ),
         7.0,
-        f"{_BIASES}; {_LESS_NOISE}",
+        f"{_BIASES}; {_LESS_NOISE}; {_NO_SIDES}",
     ),
     _recipe(
         "laboratory",
