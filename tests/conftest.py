@@ -4,7 +4,16 @@ And no window on the screen.
 """
 
 import os
+import tempfile
+
+import pytest
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _temporary_files_among_the_tests_own(tmp_path_factory):
+    """SB3 gives every `learn` without a logger a folder of its own, and never takes it away."""
+    tempfile.tempdir = os.environ["TMPDIR"] = str(tmp_path_factory.mktemp("temporary"))
