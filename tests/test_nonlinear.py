@@ -7,6 +7,7 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
+from baselines.lqr import lqr
 from shake_env import compilation, make_scenario
 from shake_env.discretization import zero_order_hold
 from shake_env.errors import ParameterError, ScenarioError
@@ -20,6 +21,7 @@ from shake_env.nonlinear_dynamics import (
 from shake_env.nonlinearity import Friction, Nonlinearity, ServoValve, StrokeStops, Yielding
 from shake_env.parameters import ModelEquations
 from shake_env.plant import SPOOL_POSITION
+from shake_env.rollout import recorded_earthquakes, rollout
 
 PLANT = make_scenario().plant
 PERIOD = 0.005
@@ -379,3 +381,17 @@ def test_printed_equations_take_no_nonlinear_part():
     assert scenario.equations == ModelEquations.as_printed()
     with pytest.raises(ScenarioError, match="corrected equations"):
         NonlinearDynamics.of(scenario.plant, SMOOTH["friction"], 1e-3, 5)
+
+
+def test_a_millisecond_resolves_friction_and_a_control_period_does_not():
+    """What friction costs an LQR on a recorded motion, over the same in steps of a quarter of 1 ms."""
+
+    def cost(step):
+        options = {"nonlinearity.friction.coulomb": 300.0, "physics_step": step}
+        scenario = make_scenario("linear", {"fields": options})
+        quakes = recorded_earthquakes(scenario)[:1]
+        return rollout(lqr(scenario), scenario, quakes)[0][0].cost
+
+    fine = cost(2.5e-4)
+    assert cost(1e-3) == pytest.approx(fine, rel=3e-3)
+    assert cost(5e-3) > 1.4 * fine
