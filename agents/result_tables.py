@@ -52,14 +52,13 @@ def markdown(result: dict[str, Any]) -> str:
         del head[5]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for row in ranked(result):
-        digits = 3 if row["relative_cost"]["high"] < 10.0 else 1
         cells = [
             row["controller"],
             str(row["runs"]) if row["sources"] else "-",
-            interval(row["relative_cost"], digits),
-            interval(row["interquartile_mean"], digits),
-            interval(row["worst_twentieth"], digits),
-            *([] if same else [interval(row["reference_cost"], digits)]),
+            _cost(row["relative_cost"]),
+            _cost(row["interquartile_mean"]),
+            _cost(row["worst_twentieth"]),
+            *([] if same else [_cost(row["reference_cost"])]),
             interval(row["probability_of_improvement"], 2),
             interval(row["base_shear_rms_error"], 2, 100.0),
             *(interval(row[n], 3 if n == "optimality" else 1, _scale(n)) for n in shown),
@@ -79,6 +78,10 @@ def markdown(result: dict[str, Any]) -> str:
         + ("" if optimum is None else f" J* = {optimum:.6g}."),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _cost(found: dict[str, float]) -> str:
+    return interval(found, 3 if found["high"] < 10.0 else 1)
 
 
 def _scale(name: str) -> float:

@@ -61,7 +61,7 @@ class Grid:
         scenario
             What controllers are made for.
         quantities
-            Names of `QUANTITIES`; none: all.
+            Names of `QUANTITIES`; none: all that the scenario's equations have.
         maps
             Whether pairs of them are changed together, too.
 
@@ -73,7 +73,11 @@ class Grid:
         for name in quantities:
             if name not in QUANTITIES:
                 raise unknown(ScenarioError, "quantity", name, QUANTITIES)
-        chosen = [name for name in QUANTITIES if not quantities or name in quantities]
+        chosen = [
+            name
+            for name, quantity in QUANTITIES.items()
+            if name in quantities or (not quantities and quantity.suits(scenario))
+        ]
         sweeps = {name: QUANTITIES[name].around(scenario) for name in chosen}
         pairs = tuple(p for p in PAIRS if maps and all(name in chosen for name in p))
         sides = {name for pair in pairs for name in pair}

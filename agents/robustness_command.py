@@ -15,7 +15,8 @@ from agents.options import ScenarioOptions, given_options
 from agents.progress import progress_bar
 from shake_env.errors import ParameterError
 
-SHOWN = ("linear", "laboratory", "unknown-specimen", "yielding")  # what docs/robustness.md shows
+# What docs/robustness.md shows.
+SHOWN = ("linear", "as-printed", "laboratory", "unknown-specimen", "yielding")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from baselines.clairvoyant import Rescaled
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError
-from shake_env.parameters import Specimen
+from shake_env.parameters import ModelEquations, Specimen
 from shake_env.scenario import UNIFORM, Scenario
 from shake_env.uncertainty import Uniform
 
@@ -30,6 +30,11 @@ class Quantity:
     coarse: tuple[float, ...]  # of a map's side
     relative: bool = False  # whether these are factors on the nominal value
     logarithmic: bool = False  # whether its axis is
+    corrected: bool = False  # whether only the corrected equations have it
+
+    def suits(self, scenario: Scenario) -> bool:
+        """Return whether the scenario can have it changed."""
+        return not self.corrected or scenario.equations == ModelEquations()
 
     def around(self, scenario: Scenario, coarse: bool = False) -> tuple[float, ...]:
         """Return the values of a sweep, ascending; the nominal one is among them."""
@@ -79,11 +84,11 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity(
             name="coulomb_friction", title="Coulomb friction", unit="N",
             values=(0.0, 50.0, 100.0, 150.0, 300.0, 450.0, 600.0),
-            coarse=(0.0, 150.0, 300.0, 600.0),
+            coarse=(0.0, 150.0, 300.0, 600.0), corrected=True,
         ),
         Quantity(
             name="delay", title="loop delay", unit="ms",
-            values=(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0), coarse=(0.0, 1.0, 2.5, 4.0),
+            values=(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0), coarse=(0.0, 1.0, 2.5, 4.0), corrected=True,
         ),
         Quantity(
             name="noise", title="noise and offset of the sensors", unit="times",

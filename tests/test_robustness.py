@@ -132,6 +132,16 @@ def test_values_hold_what_they_are_made_for_and_reach_beyond_training():
         assert len(set(grid.changes(scenario))) == len(grid.changes(scenario))
 
 
+def test_printed_equations_have_neither_friction_nor_delay():
+    scenario = make_scenario("as-printed")
+    grid = Grid.of(scenario)
+    assert set(QUANTITIES) - set(grid.sweeps) == {"coulomb_friction", "delay"}
+    found = robustness(scenario, ("none",), grid=Grid.of(scenario, maps=False), earthquakes=1)
+    assert {name for point in found["points"] for name in point["changes"]} == set(grid.sweeps)
+    with pytest.raises(ScenarioError, match="needs equations"):
+        robustness(scenario, ("none",), grid=Grid.of(scenario, ("delay",), False), earthquakes=1)
+
+
 def test_a_drawn_quantity_is_held_and_the_others_stay_drawn():
     scenario = make_scenario("unknown-specimen", SHORT)
     true = changed(scenario, {"mass_ratio": 1.5})
