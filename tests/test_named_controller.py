@@ -42,4 +42,4 @@ def test_what_is_no_controller_is_refused():
     with pytest.raises(PolicyFileError, match="no such file"):
         named_controller("nowhere/policy.safetensors", scenario)
     with pytest.raises(PolicyFileError, match="observation size"):
-        named_controller("policy", make_scenario("laboratory"))
+        named_controller("off-policy", make_scenario("laboratory"))
