@@ -45,6 +45,9 @@ class PPOOptions(ProximalOptions):
     scale_free: bool = True
     """Whether the actor has no biases, so that half the motion gets half the current. Right for a linear
     plant; friction and limits need biases."""
+    critic_first: float = 0.0
+    """Share of the run in which the critic alone learns. A policy that is gone on from has none, and
+    advantages against a critic that knows nothing spoil it."""
 
 
 @dataclass(frozen=True, kw_only=True)

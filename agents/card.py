@@ -9,10 +9,9 @@ from typing import Any
 
 from matplotlib.ticker import FormatStrFormatter, NullFormatter
 
-from agents.evaluate import digest
 from agents.figure_style import BLUE, GREY, figure_style, new_figure
 from agents.options import given_options
-from agents.policy_file import PolicyFile, load_policy
+from agents.policy_file import PolicyFile, digest, load_policy
 from agents.result_tables import interval
 from agents.robustness_output import findings, read_robustness
 from shake_env.errors import ParameterError
@@ -138,6 +137,7 @@ def card_text(
         f"| scenario | {name}{f' with {changed}' if changed else ''} |",
         f"| algorithm | {config.get('algorithm', 'unknown')} |",
         f"| made by | `{card.get('command', 'unknown')}` |",
+        *_first(card),
         f"| seed | {config.get('seed', 'unknown')} |",
         f"| code | version {card.get('version', 'unknown')} ({card.get('code') or 'unknown'}) |",
         f"| observation | {policy.observation_size} numbers at {card.get('control_rate', 0.0):g} Hz |",
@@ -173,6 +173,12 @@ def card_text(
         ]
     lines += ["## Limits of use", "", *_limits(policy, name, found, limits), ""]
     return "\n".join(lines)
+
+
+def _first(card: dict[str, Any]) -> list[str]:
+    """Return a row on the policy that training began with, if it did."""
+    first = card.get("first")
+    return [f"| began with | `{first['sha256']}`, made by `{first['command']}` |"] if first else []
 
 
 def config_base(config: dict[str, Any]) -> str:

@@ -52,6 +52,9 @@ class TrainConfig:
     """Options of PPO with a memory, used with --algorithm recurrent-ppo."""
     analytic: AnalyticOptions = field(default_factory=AnalyticOptions)
     """Options of the analytic policy gradient, used with --algorithm analytic."""
+    start: str | None = None
+    """Policy to begin with instead of nothing: a policy file, a run directory or the name of one that
+    ships. The actor takes its weights; a critic begins anew."""
     seed: int = 0
     """Seed of networks, exploration and earthquakes."""
     total_steps: int | None = None
@@ -96,7 +99,7 @@ class TrainConfig:
                 )
         not_positive = (
             "initial_log_std", "target_entropy", "base", "scale_free", "terminal_value", "memory",
-            "precision", "device", "dropped", "checkpoint",
+            "precision", "device", "dropped", "checkpoint", "critic_first",
         )  # fmt: skip
         every = (self.ppo, self.sac, self.td3, self.tqc, self.recurrent_ppo, self.analytic)
         for options in every:
@@ -112,6 +115,8 @@ class TrainConfig:
         require_non_negative(self.tqc, "dropped")
         if self.tqc.dropped >= self.tqc.quantiles:
             raise ParameterError("dropped", self.tqc.dropped, "must leave a quantile of each critic")
+        if not 0.0 <= (share := self.ppo.critic_first) < 1.0:
+            raise ParameterError("critic_first", share, "is a share of the run: 0 or more, below 1")
         if self.analytic.warmup >= 1.0:
             raise ParameterError("warmup", self.analytic.warmup, "is a share of the run: below 1")
         for options in every:

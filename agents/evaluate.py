@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import platform
 from collections.abc import Callable, Sequence
@@ -19,7 +18,7 @@ from agents.compare import CLAIRVOYANT, decision_time, plain_row
 from agents.fidelity import fidelity
 from agents.free_design import FOUND
 from agents.named_controller import named_controller, require_controller
-from agents.policy_file import PolicyFile, load_policy
+from agents.policy_file import PolicyFile, digest, load_policy
 from agents.scores import Episodes, cost_figures, summary
 from agents.shipped import SHIPPED, shipped_policy
 from baselines.catalogue import BASELINES
@@ -121,11 +120,6 @@ def _learned(name: str, files: Sequence[Path], scenario: Scenario) -> Contestant
             }
         )
     return Contestant(name, tuple(policies), tuple(sources))
-
-
-def digest(file: Path) -> str:
-    """Return the SHA-256 of a file."""
-    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def optimal_cost(scenario: Scenario) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,28 @@ from shake_env.errors import PolicyFileError
 _ACTIVATIONS = {torch.nn.Tanh: "tanh", torch.nn.ReLU: "relu"}
 
 
+@dataclass(frozen=True)
+class Actor:
+    """Where the parts of a model's actor are that a policy file holds."""
+
+    features: LinearFeatures
+    linear: tuple[torch.nn.Linear, ...]
+    activation: str
+    output: str
+    direct: int  # how many inputs of the last layer are what enters the first one
+
+    def input_scale(self) -> list[NDArray[np.float32]]:
+        """Return what multiplies each layer's inputs beside its weights, an array (inputs,) a layer."""
+        sizes, count = _numpy(self.features.sizes), len(self.features.matrix)
+        scale = [np.ones(layer.in_features, np.float32) for layer in self.linear]
+        scale[0][:count] = sizes
+        if self.direct:
+            entering = scale[-1][-self.direct :]
+            entering[:] = DIRECT_GAIN
+            entering[:count] *= sizes
+        return scale
+
+
 def export_policy(model: BaseAlgorithm, env: ShakeTableVecEnv, card: dict[str, Any]) -> PolicyFile:
     """Return the deterministic policy of a model as a `PolicyFile`.
 
@@ -41,9 +64,42 @@ def export_policy(model: BaseAlgorithm, env: ShakeTableVecEnv, card: dict[str, A
     PolicyFileError
         If the policy has another architecture.
     """
+    actor = actor_of(model)
+    features, linear = actor.features, actor.linear
+    # What multiplies the inputs goes into the weights, so that a file needs no word for it.
+    columns = actor.input_scale()
+    weights = (_numpy(layer.weight) * c for layer, c in zip(linear, columns, strict=True))
+    return PolicyFile(
+        matrix=_numpy(features.matrix),
+        feature_clip=features.clip,
+        weights=tuple(weights),
+        biases=tuple(_numpy(layer.bias) for layer in linear),
+        activation=actor.activation,
+        output=actor.output,
+        base=np.asarray(env.base, dtype=np.float32),
+        authority=env.authority,
+        card=card,
+        direct=actor.direct > 0,
+        memory=_memory(model.policy, features),
+        law=env.law,
+    )
+
+
+def actor_of(model: BaseAlgorithm) -> Actor:
+    """Return the parts of a model's actor.
+
+    Raises
+    ------
+    PolicyFileError
+        If it has another architecture than ``shake train`` makes.
+    """
+    direct = 0
     if isinstance(model, PPO | RecurrentPPO | AnalyticPolicyGradient):
-        features, hidden = model.policy.pi_features_extractor, model.policy.mlp_extractor.policy_net
-        last, output = model.policy.action_net, "clip"
+        policy, output = model.policy, "clip"
+        features, last = policy.pi_features_extractor, policy.action_net
+        hidden = policy.mlp_extractor.policy_net
+        if isinstance(policy.mlp_extractor, DirectActor):
+            direct = policy.mlp_extractor.feature_dim
     elif isinstance(model, SAC | TQC):
         features, hidden = model.actor.features_extractor, model.actor.latent_pi
         last, output = model.actor.mu, "tanh"
@@ -57,37 +113,11 @@ def export_policy(model: BaseAlgorithm, env: ShakeTableVecEnv, card: dict[str, A
         raise PolicyFileError(
             "features extractor", type(features).__name__, "only LinearFeatures can be exported"
         )
-    memory, direct = None, False
-    if isinstance(model, PPO | RecurrentPPO | AnalyticPolicyGradient):
-        direct = isinstance(model.policy.mlp_extractor, DirectActor)
-        memory = _memory(model.policy, features)
-    linear = [module for module in (*hidden, last) if isinstance(module, torch.nn.Linear)]
+    linear = tuple(module for module in (*hidden, last) if isinstance(module, torch.nn.Linear))
     kinds = {type(module) for module in hidden} - {torch.nn.Linear}
     if len(kinds) != 1 or not kinds <= set(_ACTIVATIONS):
         raise PolicyFileError("activations", sorted(str(k) for k in kinds), "must all be Tanh or ReLU")
-    weights = [_numpy(layer.weight) for layer in linear]
-    # Sizes of features go into the weights that read them, so that a file needs no word for them.
-    sizes, count = _numpy(features.sizes), len(features.matrix)
-    weights[0][:, :count] *= sizes
-    if direct:
-        entering = model.policy.mlp_extractor.feature_dim
-        weights[-1][:, -entering:] *= np.float32(DIRECT_GAIN)
-        first = weights[-1].shape[1] - entering
-        weights[-1][:, first : first + count] *= sizes
-    return PolicyFile(
-        matrix=_numpy(features.matrix),
-        feature_clip=features.clip,
-        weights=tuple(weights),
-        biases=tuple(_numpy(layer.bias) for layer in linear),
-        activation=_ACTIVATIONS[kinds.pop()],
-        output=output,
-        base=np.asarray(env.base, dtype=np.float32),
-        authority=env.authority,
-        card=card,
-        direct=direct,
-        memory=memory,
-        law=env.law,
-    )
+    return Actor(features, linear, _ACTIVATIONS[kinds.pop()], output, direct)
 
 
 def _memory(policy: Any, features: LinearFeatures) -> MemoryUnit | None:

@@ -50,6 +50,15 @@ class ScaleFreeDirectPolicy(DirectPolicy):
         _without_biases(self)
 
 
+# By whether an actor has no biases, and whether it has a direct path.
+_ACTORS: dict[tuple[bool, bool], type[ActorCriticPolicy]] = {
+    (False, False): ActorCriticPolicy,
+    (False, True): DirectPolicy,
+    (True, False): ScaleFreePolicy,
+    (True, True): ScaleFreeDirectPolicy,
+}
+
+
 class _Warm:
     """Warms up with the algorithm's own untrained policy.
 
@@ -72,9 +81,30 @@ class WarmTQC(_Warm, TQC):
     """TQC that warms up with its own untrained policy."""
 
 
+class CriticFirstPPO(PPO):
+    """PPO whose actor stands still for the first share `critic_first` of a run."""
+
+    critic_first = 0.0
+
+    def train(self) -> None:
+        """Learn from a roll-out; see PPO."""
+        if not hasattr(self, "_moving"):
+            layers = (self.policy.mlp_extractor.policy_net, self.policy.action_net)
+            actor = [parameter for layer in layers for parameter in layer.parameters()]
+            # A scale-free actor's biases never move.
+            self._moving = [p for p in (*actor, self.policy.log_std) if p.requires_grad]
+        waits = 1.0 - self._current_progress_remaining < self.critic_first
+        for parameter in self._moving:
+            parameter.requires_grad_(not waits)
+        super().train()
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "_moving"]
+
+
 Model = PPO | SAC | TD3 | TQC | RecurrentPPO | AnalyticPolicyGradient
 ALGORITHMS: dict[str, type[Model]] = {
-    "ppo": PPO,
+    "ppo": CriticFirstPPO,
     "sac": WarmSAC,
     "td3": WarmTD3,
     "tqc": WarmTQC,
@@ -105,8 +135,13 @@ class WarmUp:
         return self.highest * min(progress_remaining, (1.0 - progress_remaining) / self.share)
 
 
-def new_model(config: TrainConfig, scenario: Scenario, env: ShakeTableVecEnv) -> Model:
-    """Return an untrained model on `env`; `scenario` is what it will be used on."""
+def new_model(
+    config: TrainConfig, scenario: Scenario, env: ShakeTableVecEnv, *, direct: bool = False
+) -> Model:
+    """Return an untrained model on `env`; `scenario` is what it will be used on.
+
+    With `direct` PPO's actor has a linear path beside its network, as the gradient's has.
+    """
     policy: dict[str, Any] = {
         "net_arch": list(config.hidden),
         # The linear optimum is a linear law, which rectifiers can represent exactly and tanh cannot.
@@ -120,8 +155,8 @@ def new_model(config: TrainConfig, scenario: Scenario, env: ShakeTableVecEnv) ->
     gamma = config.discount(scenario.control_period)
     if config.algorithm == "ppo":
         ppo = config.ppo
-        return PPO(
-            ScaleFreePolicy if ppo.scale_free else ActorCriticPolicy,
+        proximal = CriticFirstPPO(
+            _ACTORS[ppo.scale_free, direct],
             env,
             n_steps=ppo.rollout_steps,
             batch_size=ppo.batch_size,
@@ -134,6 +169,8 @@ def new_model(config: TrainConfig, scenario: Scenario, env: ShakeTableVecEnv) ->
             policy_kwargs={**policy, "log_std_init": ppo.initial_log_std},
             device="cpu",
         )
+        proximal.critic_first = ppo.critic_first
+        return proximal
     if config.algorithm == "recurrent-ppo":
         return _recurrent(config, policy, env, gamma)
     if config.algorithm == "analytic":
@@ -224,7 +261,7 @@ def _analytic(
     if analytic.memory:
         kind, policy = GRUPolicy, {**policy, "units": analytic.memory}
     else:
-        kind = ScaleFreeDirectPolicy if analytic.scale_free else DirectPolicy
+        kind = _ACTORS[analytic.scale_free, True]
     # Exact gradients need no long averages: short ones forget a window in which the loop rang. SB3's
     # epsilon of 1e-5 is of the size of the gradient's entries near the optimum: Adam would stop there.
     policy["optimizer_kwargs"] = {"betas": (0.7, 0.95), "eps": 1e-8}

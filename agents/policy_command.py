@@ -95,8 +95,7 @@ class Card:
 
 def _known_robustness(policy: Path) -> Path | None:
     from agents.card import robustness_of
-    from agents.evaluate import digest
-    from agents.policy_file import load_policy
+    from agents.policy_file import digest, load_policy
     from agents.robustness_output import PREFIX
 
     trained = load_policy(policy).card.get("config", {}).get("scenario", {}).get("scenario", "linear")

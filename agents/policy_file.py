@@ -6,6 +6,7 @@ memory between them, and drives a table in numpy alone.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -160,6 +161,11 @@ class PolicyFile:
         contiguous = {name: np.ascontiguousarray(a) for name, a in arrays.items()}
         partial.write_bytes(save(contiguous, {"shake": json.dumps(header, sort_keys=True)}))
         partial.replace(path)
+
+
+def digest(file: Path) -> str:
+    """Return the SHA-256 of a file."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def load_policy(path: Path) -> PolicyFile:

@@ -18,9 +18,8 @@ import numpy as np
 import shake_env
 from agents.code_version import code_version
 from agents.compare import CLAIRVOYANT, named_controllers
-from agents.evaluate import digest
 from agents.named_controller import file_of
-from agents.policy_file import PolicyFile
+from agents.policy_file import PolicyFile, digest
 from agents.shipped import SHIPPED, shipped_policy
 from agents.unlike import QUANTITIES, Change, altered, nominal_value, training_range
 from shake_env.controller import Controller

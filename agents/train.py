@@ -24,9 +24,10 @@ from agents.checkpoint import checkpoints, load_checkpoint, save_checkpoint
 from agents.code_version import code_version
 from agents.config import TrainConfig, read_config
 from agents.export import export_policy
+from agents.fine_tuning import begin_with, first_file
 from agents.mirror import mirror_averaged
 from agents.models import Model, new_model
-from agents.policy_file import load_policy
+from agents.policy_file import digest, load_policy
 from agents.progress import Progress
 from agents.report_estimates import learning_curve
 from agents.sb3_vec_env import ShakeTableVecEnv
@@ -40,6 +41,7 @@ from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario import Scenario
 
 BEST = "best.safetensors"  # in a run directory: the policy that did best so far
+FIRST = "first.safetensors"  # the one that it began with, if any
 RUN_SEEDS = 100_000  # that a run may use, from its own seed times that
 EVALUATION_SEED = 1_000_000  # training seeds lie far below, so that no evaluation motion is trained on
 
@@ -65,7 +67,7 @@ def train(
     report: Callable[[Progress], None] = lambda progress: None,
     command: str | None = None,
 ) -> TrainResult:
-    """Train from scratch into a new run directory.
+    """Train from scratch, or from `config.start`, into a new run directory.
 
     Parameters
     ----------
@@ -80,17 +82,24 @@ def train(
     ------
     RunDirectoryError
         If the directory exists already.
+    PolicyFileError
+        If the policy to begin with cannot be read, or is of another kind than what is trained.
     """
     if run.exists():
         raise RunDirectoryError(
             "run directory", str(run), "exists already: name another, or go on with --resume"
         )
+    scenario, file = config.scenario.build(), first_file(config)
+    first = None if file is None else load_policy(file)
+    env = training_tables(config, scenario)
+    torch.set_num_threads(config.threads)
+    model = new_model(config, scenario, env, direct=first is not None and first.direct)
+    if first is not None:
+        begin_with(model, env, first)
     run.mkdir(parents=True)
     (run / "config.json").write_text(json.dumps(config.to_json(), indent=2) + "\n", encoding="utf-8")
-    scenario = config.scenario.build()
-    env = _tables(config, scenario)
-    torch.set_num_threads(config.threads)
-    model = new_model(config, scenario, env)
+    if file is not None:
+        shutil.copyfile(file, run / FIRST)
     # After the model: SB3 seeds the environment with the run's own seed, so that the tables of run 1
     # would repeat those of run 0 but for one.
     env.seed(config.seed * RUN_SEEDS)
@@ -114,7 +123,7 @@ def resume(
     if not checkpoints(run) and not (run / "policy.safetensors").exists():
         shutil.rmtree(run)  # interrupted before its first checkpoint: nothing is lost
         return train(config, run, report=report, command=command)
-    env = _tables(config, config.scenario.build())
+    env = training_tables(config, config.scenario.build())
     torch.set_num_threads(config.threads)
     device = config.analytic.device if config.algorithm == "analytic" else "cpu"
     model = load_checkpoint(run, config.algorithm, env, device)
@@ -169,7 +178,8 @@ def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
     return replace(scenario, limits=limits, motion=motion)
 
 
-def _tables(config: TrainConfig, scenario: Scenario) -> ShakeTableVecEnv:
+def training_tables(config: TrainConfig, scenario: Scenario) -> ShakeTableVecEnv:
+    """Return the tables that a run trains on, with the law that its policy corrects."""
     chosen = config.chosen
     return ShakeTableVecEnv(
         training_scenario(config, scenario),
@@ -360,6 +370,9 @@ def _run(
         "evaluation": {key: value for key, value in asdict(result).items() if key != "run"},
         "curve": _curve(run),
     }
+    if (run / FIRST).exists():
+        made = load_policy(run / FIRST).card
+        card["first"] = {"sha256": digest(run / FIRST), "command": made.get("command")}
     replace(load_policy(run / BEST), card=card).save(run / "policy.safetensors")
     (run / "result.json").write_text(json.dumps(asdict(result), indent=2) + "\n", encoding="utf-8")
     return result

@@ -143,11 +143,12 @@ def test_the_configuration_survives_its_file(tmp_path):
         {"ppo": PPOOptions(tables=64, epochs=0)},
         {"tqc": TQCOptions(dropped=25)},
         {"analytic": AnalyticOptions(warmup=1.0)},
+        {"ppo": PPOOptions(critic_first=1.0)},
     ],
 )
 def test_bad_options_are_named(bad):
-    name = {"ppo": "epochs", "tqc": "dropped", "analytic": "warmup"}.get(key := next(iter(bad)), key)
-    with pytest.raises(ParameterError, match=name):
+    name = {"ppo": "epochs|critic_first", "tqc": "dropped", "analytic": "warmup"}
+    with pytest.raises(ParameterError, match=name.get(key := next(iter(bad)), key)):
         TrainConfig(**bad)
 
 

@@ -10,8 +10,8 @@ import pytest
 from agents.__main__ import main
 from agents.bench import TEST_SEED
 from agents.compare import compare
-from agents.evaluate import Contestant, contestant, digest, evaluate, optimal_cost, policy_files
-from agents.policy_file import load_policy
+from agents.evaluate import Contestant, contestant, evaluate, optimal_cost, policy_files
+from agents.policy_file import digest, load_policy
 from agents.result_tables import markdown, put_tables, read_results, write_result
 from agents.scores import cost_figures
 from agents.shipped import shipped_policy
