@@ -39,8 +39,10 @@ class AnalyticPolicyGradient(BaseAlgorithm):
     r the environment's reward, with Adam under a bound on the gradient's norm. States are passed from
     window to window as data. With ``terminal_value`` V is the policy's critic, fitted after each window
     to TD(lambda) targets and followed by a slow copy that the targets and the actor use; without, V
-    is zero and the critic is left alone. The policy is SB3's own: PPO goes on from its parameters,
-    and the other way round. Exploration is neither needed nor learned: ``log_std`` stays.
+    is zero and the critic is left alone. After a window without a finite gradient the actor is taken
+    back to its mean over those before (`retreats` counts how often). The policy is SB3's own: PPO goes
+    on from its parameters, and the other way round. Exploration is neither needed nor learned:
+    ``log_std`` stays.
 
     A callback's ``on_rollout_start`` comes before each window, ``on_step`` and ``on_rollout_end`` after
     it; ``num_timesteps`` counts control periods of all tables.
@@ -68,7 +70,8 @@ class AnalyticPolicyGradient(BaseAlgorithm):
     critic_epochs, critic_batches
         Passes over a window's samples per update, and parts that each is cut into.
     target_rate
-        Share of its way to the critic that the slow copy goes per window.
+        Share of its way to the critic that the slow copy goes per window; and of its way to the actor
+        that the mean goes which an actor without a gradient is taken back to.
     plant_dtype
         ``"float64"`` or ``"float32"``: precision of the plant's state.
     checkpoint
@@ -147,6 +150,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.memory: torch.Tensor | None = (
             None  # (N, units) of a recurrent policy, at the window's start
         )
+        self.retreats = 0
         self._tables: TorchTables | None = None
         if _init_setup_model:
             self._setup_model()
@@ -167,6 +171,8 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         }
         if not self.policy.share_features_extractor:
             critic |= {id(p) for p in self.policy.vf_features_extractor.parameters()}
+        pairs = zip(self.policy.parameters(), self.slow_policy.parameters(), strict=True)
+        self._slow = {id(fast): slow for fast, slow in pairs}
         trained = [p for p in self.policy.parameters() if p.requires_grad]
         self._critic = [p for p in trained if id(p) in critic]
         self._actor = [p for p in trained if id(p) not in critic and p is not self.policy.log_std]
@@ -198,8 +204,10 @@ class AnalyticPolicyGradient(BaseAlgorithm):
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
         tables = self.tables
-        if begins and self.stagger:
-            tables.env.stagger()
+        if begins:  # the parameters may have been given since the model was made
+            self.slow_policy.load_state_dict(self.policy.state_dict())
+            if self.stagger:
+                tables.env.stagger()
         callback.on_training_start(locals(), globals())
         iteration = 0
         while self.num_timesteps < total_timesteps:
@@ -224,11 +232,16 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         rate = self.lr_schedule(self._current_progress_remaining)
         update_learning_rate(self.policy.optimizer, rate)
         loss, window, seen = self.window_loss()
-        norm = self._descend(loss, self._actor)
+        norm = self._gradient(loss, self._actor)
+        if np.isfinite(norm):
+            self._follow(self._actor)
+            self._step()
+        else:
+            self._retreat()
         if self.terminal_value:
             update_learning_rate(self.policy.optimizer, rate * self.critic_learning_rate)
             self.logger.record("train/value_loss", self._fit_critic(window, seen))
-            self._follow()
+            self._follow(self._critic)
         self._last_obs, done, infos = self.tables.commit(window)
         self._last_episode_starts = done
         self._update_info_buffer(infos, done)
@@ -237,6 +250,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.logger.record("train/stage_cost", -float(window.returns.sum()) / counted)
         self.logger.record("train/broken_limits", int(window.terminated.sum()))
         self.logger.record("train/gradient_norm", norm)
+        self.logger.record("train/retreats", self.retreats)
         self.logger.record("train/learning_rate", rate)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
 
@@ -310,17 +324,28 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         values: torch.Tensor = policy.value_net(policy.mlp_extractor.forward_critic(seen))[..., 0]
         return values
 
-    def _descend(self, loss: torch.Tensor, parameters: list[torch.nn.Parameter]) -> float:
-        """Take a step of some parameters alone, and return the gradient's norm before its bound."""
+    def _gradient(self, loss: torch.Tensor, parameters: list[torch.nn.Parameter]) -> float:
+        """Set the gradient of some parameters alone, bounded, and return its norm before the bound."""
         gradients = torch.autograd.grad(loss, parameters, allow_unused=True)
         self.policy.optimizer.zero_grad(set_to_none=True)
         for parameter, gradient in zip(parameters, gradients, strict=True):
             parameter.grad = gradient
-        norm = float(torch.nn.utils.clip_grad_norm_(parameters, self.max_grad_norm))
-        if np.isfinite(norm):  # no tables are so lost that a policy should be lost with them
-            self.policy.optimizer.step()
+        return float(torch.nn.utils.clip_grad_norm_(parameters, self.max_grad_norm))
+
+    def _step(self) -> None:
+        self.policy.optimizer.step()
         self.policy.optimizer.zero_grad(set_to_none=True)
-        return norm
+
+    @torch.no_grad()
+    def _retreat(self) -> None:
+        """Take the actor back to the mean of where it was in the last windows that had a gradient.
+
+        A step too far and the loop is unstable: what follows grows beyond all numbers within a window,
+        and no gradient leads back.
+        """
+        for parameter in self._actor:
+            parameter.copy_(self._slow[id(parameter)])
+        self.retreats += 1
 
     @torch.no_grad()
     def _targets(self, window: Window, seen: torch.Tensor) -> torch.Tensor:
@@ -352,15 +377,15 @@ class AnalyticPolicyGradient(BaseAlgorithm):
             order = torch.randperm(len(inputs)).to(inputs.device)
             for part in order.chunk(self.critic_batches):
                 loss = torch.nn.functional.mse_loss(self._value(self.policy, inputs[part]), goals[part])
-                self._descend(loss, self._critic)
+                if np.isfinite(self._gradient(loss, self._critic)):
+                    self._step()
                 losses.append(loss.item())
         return float(np.mean(losses))
 
     @torch.no_grad()
-    def _follow(self) -> None:
-        pairs = zip(self.slow_policy.parameters(), self.policy.parameters(), strict=True)
-        for slow, fast in pairs:
-            slow.lerp_(fast, self.target_rate)
+    def _follow(self, parameters: list[torch.nn.Parameter]) -> None:
+        for parameter in parameters:
+            self._slow[id(parameter)].lerp_(parameter, self.target_rate)
 
     def predict(
         self,
@@ -387,7 +412,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.logger.dump(step=self.num_timesteps)
 
     def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "_tables", "_actor", "_critic", "memory"]
+        return [*super()._excluded_save_params(), "_tables", "_actor", "_critic", "_slow", "memory"]
 
     def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
         return ["policy", "policy.optimizer", "slow_policy"], []

@@ -250,6 +250,25 @@ def test_sb3s_manners(tmp_path):
     assert np.isfinite(mean)
 
 
+def test_an_actor_without_a_gradient_goes_back_to_where_it_had_one():
+    scenario = make_scenario("linear", {"duration": 4.0})
+    model = model_on(scenario, window=800, learning_rate=1e-4)
+    window = 3 * 800
+    model.learn(2 * window)
+    assert model.retreats == 0
+    stood = torch.nn.utils.parameters_to_vector(model._actor).detach().clone()
+    with torch.no_grad():  # a loop that rings, its gradient a tenth larger a period: 1e33 after 800
+        model.policy.action_net.weight[:, 16:] -= 0.01
+    model.learn(window, reset_num_timesteps=False)
+    assert model.retreats == 1
+    back = torch.nn.utils.parameters_to_vector(model._actor).detach()
+    # The mean of where it was in two windows, Adam's steps of 1e-4 a weight apart.
+    torch.testing.assert_close(back, stood, rtol=0.0, atol=3e-4)
+    model.learn(window, reset_num_timesteps=False)
+    assert model.retreats == 1
+    assert not torch.equal(back, torch.nn.utils.parameters_to_vector(model._actor))
+
+
 def test_a_seed_fixes_what_is_learned():
     scenario = make_scenario("linear", {"duration": 1.0})
 
