@@ -188,12 +188,20 @@ RECIPES: tuple[Recipe, ...] = (
         "linear",
         TrainConfig(
             algorithm="td3",
-            td3=TD3Options(exploration=0.2, target_noise=0.2, target_noise_clip=0.5),
+            td3=TD3Options(
+                authority=0.06,
+                exploration=0.4,
+                target_noise=0.2,
+                target_noise_clip=0.5,
+                learning_rate=1e-3,
+                gradient_steps=20,
+            ),
+            horizon=0.6,
             total_steps=400_000,
             mirrored=True,
         ),
         7.0,
-        f"twice the exploration, without which it stands at twice LQR's cost for long; {_NO_SIDES}",
+        f"little authority, much of it as exploration, a large step, as a search found; {_NO_SIDES}",
     ),
     _recipe(
         "linear",
