@@ -181,7 +181,7 @@ def _ppo_from_nothing(
 
 
 RECIPES: tuple[Recipe, ...] = (
-    _gradients_from_nothing("linear", 1e-3),
+    _gradients_from_nothing("linear", 8e-4),
     _ppo_from_nothing("linear", 7.0),
     _recipe("linear", TrainConfig(algorithm="sac", total_steps=700_000), 12.0, _LONG),
     _recipe(
