@@ -162,9 +162,9 @@ def _corrected(arena: str, minutes: float, usual: dict[str, Any], otherwise: tup
     return _recipe(arena, config, minutes, _EXPLORES_LITTLE, otherwise=otherwise)
 
 
-def _gradients_from_nothing(arena: str, learning_rate: float, warmup: float = 0.05) -> Recipe:
+def _gradients_from_nothing(arena: str, learning_rate: float) -> Recipe:
     """Return the recipe of the analytic gradient for a linear table that is seen in full."""
-    options = AnalyticOptions(tables=64, window=192, learning_rate=learning_rate, warmup=warmup)
+    options = AnalyticOptions(tables=64, window=192, learning_rate=learning_rate)
     config = TrainConfig(algorithm="analytic", analytic=options, episode=20.0, total_steps=15_728_640)
     why = f"windows of a second, whose end costs half a percent less; {_WHOLE_NOISE}"
     return _recipe(arena, config, 3.0, why)
@@ -181,7 +181,7 @@ def _ppo_from_nothing(
 
 
 RECIPES: tuple[Recipe, ...] = (
-    _gradients_from_nothing("linear", 1e-3, warmup=0.2),
+    _gradients_from_nothing("linear", 8e-4),
     _ppo_from_nothing("linear", 7.0),
     _recipe("linear", TrainConfig(algorithm="sac", total_steps=700_000), 12.0, _LONG),
     _recipe(
