@@ -190,7 +190,7 @@ class Train:
       shake train --run runs/five --config.scenario.stories 5 --config.total-steps 6000000
       shake train --run runs/sac --config.algorithm sac
       shake train --run runs/mine --resume
-      shake train --run runs/tuned --config.start analytic --config.ppo.initial-log-std -4
+      shake train --run runs/tuned --config.start analytic --config.ppo.critic-first 0.25
       tensorboard --logdir runs
     """
 
