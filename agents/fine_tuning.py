@@ -69,7 +69,8 @@ def _require_like(own: PolicyFile, given: PolicyFile) -> None:
             raise PolicyFileError(f"{field} of the policy to begin with", value, remedy)
 
     alike = own.matrix.shape == given.matrix.shape and np.allclose(own.matrix, given.matrix, rtol=1e-5)
-    remedy = f"here others, {own.matrix.shape[0]}: give the scenario that it was trained on"
+    count = own.matrix.shape[0]
+    remedy = f"here others, {count}: give scenario and --config.ALGORITHM.base as its card has them"
     require(alike, "features", f"{given.matrix.shape[0]} features", remedy)
     remedy = "here another: give --config.ALGORITHM.base as its card has it"
     same = np.allclose(own.base, given.base) and _same_law(own.law, given.law)
