@@ -23,6 +23,7 @@ from stable_baselines3.common.utils import safe_mean, update_learning_rate
 
 from agents.recurrent import GRUPolicy
 from agents.sb3_vec_env import ShakeTableVecEnv
+from agents.td_lambda import td_lambda_targets
 from agents.torch_tables import Kept, TorchTables, Window
 from shake_env.errors import ParameterError
 
@@ -352,18 +353,8 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         """Return TD(lambda) targets (H, N) by the slow critic, and of use up to each lane's end."""
         values = self._value(self.slow_policy, seen).cpu().numpy()
         rewards = window.rewards.detach().cpu().numpy()
-        ends, ended = window.steps, window.broken != 0
-        targets = np.zeros_like(rewards)
-        following = np.zeros(len(ends))
-        for t in reversed(range(self.window)):
-            at_end = ends == t + 1
-            following = np.where(at_end, np.where(ended, 0.0, values[t + 1]), following)
-            mixed = np.where(
-                at_end,
-                following,
-                (1.0 - self.td_lambda) * values[t + 1] + self.td_lambda * following,
-            )
-            following = targets[t] = rewards[t] + self.gamma * mixed
+        ended = window.broken != 0
+        targets = td_lambda_targets(rewards, values, window.steps, ended, self.gamma, self.td_lambda)
         return torch.as_tensor(targets, dtype=seen.dtype, device=seen.device)
 
     def _fit_critic(self, window: Window, seen: list[torch.Tensor]) -> float:
