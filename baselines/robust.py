@@ -7,7 +7,7 @@ by the factor of the mass. The uncertain specimen is therefore the nominal one w
 the worst of all forces, each paying for its size and earning that of rho f_s. Its value bounds the cost
 under every w within the uncertainty: the guaranteed cost of Petersen and McFarlane (IEEE TAC 39, 1994).
 The constant scaling d between paying and earning is chosen to make the bound least. The gain from w to
-``rho f_s`` is then measured by slycot's AB13DD, which shares nothing with the Riccati equation.
+``rho f_s`` is then measured by `baselines.h_infinity_norm`, which does not use the Riccati equation.
 
 What is guaranteed, for every mass within ``1 +- rho`` of the nominal one, even one that changed at each
 physics step: the closed loop is stable, and its mean stage cost is at most `guaranteed_cost`. That holds
@@ -25,6 +25,7 @@ import control
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from baselines.h_infinity_norm import h_infinity_norm
 from baselines.lqr import ScaledProblem, StationaryPerformance, stationary_performance
 from shake_env.discretization import zero_order_hold
 from shake_env.errors import NumericalError, ParameterError
@@ -139,10 +140,9 @@ class GeneralizedPlant:
         return K, float(np.trace(noise))
 
     def force_gain(self, K: FloatArray, rho: float) -> float:
-        """Return the H-infinity norm from w to ``rho z`` under ``u = -K x``, by slycot's AB13DD."""
+        """Return the H-infinity norm [-] from w to ``rho z`` under ``u = -K x`` (1, m)."""
         (B_w, _, B_u), C_z, (on_w, _, on_u) = self.B, self.C[0], self.D[0]
-        loop = control.StateSpace(self.A - B_u @ K, B_w, rho * (C_z - on_u @ K), rho * on_w, True)
-        return float(control.linfnorm(loop)[0])
+        return h_infinity_norm(self.A - B_u @ K, B_w, rho * (C_z - on_u @ K), rho * on_w)
 
 
 def _problem(scenario: Scenario, position: float | None) -> ScaledProblem:

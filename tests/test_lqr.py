@@ -138,7 +138,7 @@ def test_riccati_solution_against_python_control(overrides):
 
 
 def test_riccati_solution_against_python_control_dlqr():
-    # method="scipy": slycot gives up on fast-sampled plants, whose eigenvalues are near 1.
+    # method="scipy": SLICOT, where it is installed, gives up on eigenvalues near 1.
     scenario = make_scenario("linear", {"control_rate": 500.0})
     F, G, _, Q, R, S, _, keep, scale = scaled_problem(scenario)
     K, _, _ = control.dlqr(F, G, Q, R, S, method="scipy")

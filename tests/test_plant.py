@@ -348,8 +348,7 @@ def as_control(model, name, inputs, outputs):
 
 
 def scaled(model, scale):
-    # Where slycot is installed, python-control's frequency response goes through Hessenberg form without
-    # balancing, and loses every digit on states that span ten decades.
+    # python-control does not balance, and loses digits on states that span ten decades.
     return StateSpace(
         model.A * scale / scale[:, None], model.B / scale[:, None], model.C * scale, model.D
     )
@@ -377,7 +376,7 @@ def test_coupled_plant_against_python_controls_interconnection(highpass):
     for output in range(4):
         for source in range(2):
             a, b = found[:, output, source], other[:, output, source]
-            if np.all(a == 0):  # a quiet link; slycot's arithmetic leaves rounding there
+            if np.all(a == 0):  # no link; other arithmetic leaves rounding there
                 assert np.max(np.abs(b)) < 1e-9 * np.max(np.abs(other[:, output]))
             else:
                 assert np.max(np.abs(a - b)) < 1e-9 * np.max(np.abs(b))
