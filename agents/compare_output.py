@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import json
-from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -15,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from agents.compare import Comparison, GroupSummary
+from agents.csv_file import write_csv
 from agents.fidelity import Fidelity
 from agents.figure_style import BLACK, SERIES, figure_style, new_figure, save_figure
 from shake_env.metrics import EpisodeMetrics
@@ -92,25 +91,16 @@ def write_files(comparison: Comparison, settings: dict[str, Any], folder: Path) 
     paths = [folder / "comparison.json", folder / "summary.csv", folder / "episodes.csv"]
     text = json.dumps(comparison.to_json(settings), indent=2) + "\n"
     paths[0].write_text(text, encoding="utf-8")
-    _write_csv(paths[1], [asdict(summary) for summary in comparison.summaries], GroupSummary)
+    summaries = [asdict(summary) for summary in comparison.summaries]
+    write_csv(paths[1], [field.name for field in fields(GroupSummary)], summaries)
     episodes = [
         {"controller": name, **asdict(row), **asdict(measures)}
         for name, rows in comparison.episodes.items()
         for row, measures in zip(rows, comparison.fidelities[name], strict=True)
     ]
-    measured = [field.name for field in fields(Fidelity)]
-    _write_csv(paths[2], episodes, EpisodeMetrics, "controller", last=measured)
+    names = [field.name for kind in (EpisodeMetrics, Fidelity) for field in fields(kind)]
+    write_csv(paths[2], ["controller", *names], episodes)
     return paths + _draw(comparison, folder)
-
-
-def _write_csv(
-    path: Path, rows: list[dict[str, Any]], kind: type[Any], *first: str, last: Sequence[str] = ()
-) -> None:
-    names = [*first, *(field.name for field in fields(kind)), *last]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, names)
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def _draw(comparison: Comparison, folder: Path) -> list[Path]:

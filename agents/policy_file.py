@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,16 @@ from safetensors.numpy import save
 
 from agents.estimated_law import EstimatedLaw
 from agents.memory_units import PARTS, UNITS, GatedUnit, MemoryUnit, Weights, rest
+from agents.policy_header import check_card, parse_header
 from shake_env.errors import PolicyFileError
+from shake_env.limits import OBSERVATION_BOUND
 from shake_env.scenario import Scenario
 
 FORMAT = "shake-policy-1"
 _REMEDY = "give a policy file written by 'shake train' (policy.safetensors)"
 _ACTIVATIONS = ("tanh", "relu")
 _OUTPUTS = ("clip", "tanh")
+LARGEST = 1e6  # [-] of a number in a file; those that `shake train` writes stay below 1e3
 LAW = {"advance": 2, "gains": 3, "show": 2, "begins": 1}  # arrays of an `EstimatedLaw`, and their axes
 
 
@@ -80,8 +84,19 @@ class PolicyFile:
         _require(width == 1, "outputs", width, "a table has one current")
         _require(self.base.shape == self.matrix.shape[1:], "base shape", self.base.shape, _REMEDY)
         _require(0.0 < self.authority <= 1.0, "authority", self.authority, "must lie in 0 to 1")
-        for array in (self.matrix, self.base, *self.weights, *self.biases):
-            _require(bool(np.isfinite(array).all()), "weights", "nan or inf", _REMEDY)
+        clip = self.feature_clip
+        _require(0.0 < clip <= LARGEST, "feature_clip", clip, f"must lie in 0 to {LARGEST:g}")
+        for name, arrays in (
+            ("matrix", (self.matrix,)), ("base", (self.base,)),
+            ("weights", self.weights), ("biases", self.biases),
+        ):  # fmt: skip
+            for array in arrays:
+                _require_sane(name, array)
+        for part in () if self.memory is None else PARTS:
+            _require_sane(f"memory {part}", getattr(self.memory, part))
+        for part in () if self.law is None else LAW:
+            _require_sane(f"law {part}", getattr(self.law, part))
+        check_card(self.card)
 
     @property
     def observation_size(self) -> int:
@@ -124,6 +139,21 @@ class PolicyFile:
             kept = (*(kept or ()), self.law.keep(known, action[..., 0].astype(float)), age + 1)
         return action.astype(np.float32), kept
 
+    def try_decisions(self) -> None:
+        """Raise PolicyFileError unless a few decisions, memory included, are finite and within [-1, 1].
+
+        The observations are zeros and alternating values at the bound of an observation.
+        """
+        signs = np.where(np.arange(self.observation_size) % 2, 1.0, -1.0)
+        state, start = None, np.ones(3, dtype=bool)
+        bound = OBSERVATION_BOUND * np.array([[0.0], [1.0], [-1.0]])
+        with np.errstate(all="ignore"):  # the result is judged, not what it came from
+            for _ in range(2):
+                action, state = self.predict((bound * signs).astype(np.float32), state, start)
+                fits = bool(np.isfinite(action).all()) and float(np.abs(action).max()) <= 1.0
+                _require(fits, "trial decision", action.ravel().tolist(), _REMEDY)
+                start = np.zeros(3, dtype=bool)
+
     def check(self, scenario: Scenario) -> None:
         """Raise PolicyFileError unless the policy was made for this observation and control rate."""
         size, rate = scenario.observation.size, scenario.control_rate
@@ -136,8 +166,9 @@ class PolicyFile:
         trained = self.card.get("control_rate", rate)
         _require(trained == rate, "control rate", trained, f"the scenario's is {rate} Hz")
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | PathLike[str]) -> None:
         """Write the file; a reader never sees half of it."""
+        path = Path(path)
         header = {
             "format": FORMAT,
             "feature_clip": self.feature_clip,
@@ -163,30 +194,33 @@ class PolicyFile:
         partial.replace(path)
 
 
-def digest(file: Path) -> str:
+def digest(file: str | PathLike[str]) -> str:
     """Return the SHA-256 of a file."""
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
 
 
-def load_policy(path: Path) -> PolicyFile:
+def load_policy(path: str | PathLike[str]) -> PolicyFile:
     """Read a policy file.
+
+    Header, shapes and numbers are checked, and a few decisions are tried, before it is returned.
 
     Raises
     ------
     PolicyFileError
-        If the file is missing, truncated, corrupt or of another kind.
+        If the file is missing, truncated, corrupt or of another kind, or its decisions are not finite.
     """
+    path = Path(path)
     if not path.is_file():
         raise PolicyFileError("policy file", str(path), f"there is no such file: {_REMEDY}")
     try:
         with safe_open(str(path), framework="np") as file:
-            header = json.loads((file.metadata() or {}).get("shake", "{}"))
+            text = (file.metadata() or {}).get("shake", "{}")
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError, TypeError) as error:
         raise PolicyFileError(
             "policy file", str(path), f"cannot be read ({error}): {_REMEDY}"
         ) from error
-    _require(isinstance(header, dict), "header", header, _REMEDY)
+    header = parse_header(text)
     _require(header.get("format") == FORMAT, "format", header.get("format"), _REMEDY)
     try:
         layers = range(int(header["layers"]))
@@ -202,7 +236,7 @@ def load_policy(path: Path) -> PolicyFile:
         law, actions = None, int(header.get("law_actions", 0))
         if actions:
             law = _law({name: arrays[f"law.{name}"] for name in LAW}, actions)
-        return PolicyFile(
+        policy = PolicyFile(
             matrix=_float32(arrays["matrix"], 2),
             feature_clip=float(header["feature_clip"]),
             weights=tuple(_float32(arrays[f"weight.{i}"], 2) for i in layers),
@@ -216,6 +250,8 @@ def load_policy(path: Path) -> PolicyFile:
             memory=memory,
             law=law,
         )
+        policy.try_decisions()
+        return policy
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         if isinstance(error, PolicyFileError):
             raise
@@ -244,7 +280,6 @@ def _law(arrays: dict[str, NDArray[Any]], actions: int) -> EstimatedLaw:
         array = arrays[name]
         fits = array.ndim == dimensions and array.dtype == np.float64 and array.size > 0
         _require(fits, f"law {name}", (array.shape, str(array.dtype)), "must be float64")
-        _require(bool(np.isfinite(array).all()), f"law {name}", "nan or inf", _REMEDY)
     law = EstimatedLaw(**arrays, actions=actions)
     rows, estimates, readings = len(law.advance), *law.gains.shape[1:]
     fits = (
@@ -263,6 +298,11 @@ def _float32(array: NDArray[Any], dimensions: int) -> Weights:
         fits, "array", (array.shape, str(array.dtype)), f"must be float32, {dimensions}-dimensional"
     )
     return array
+
+
+def _require_sane(field: str, array: NDArray[Any]) -> None:
+    largest = float(np.max(np.abs(array), initial=0.0))
+    _require(largest <= LARGEST, field, largest, f"must be finite and at most {LARGEST:g}")
 
 
 def _require(holds: bool, field: str, value: object, remedy: str) -> None:

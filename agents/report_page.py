@@ -83,8 +83,8 @@ def _asset(name: str) -> str:
 
 
 def _json(data: dict[str, Any]) -> str:
-    # Inside a script element only "</" could end it; a name may hold that.
-    return json.dumps(data, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+    # "<!--<script>" and "</script>" in a name would change where the element ends: no "<" is left in it.
+    return json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def _setting(report: Report) -> str:

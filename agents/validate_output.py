@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +10,8 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
+
+from agents.csv_file import write_csv
 
 Rows = list[list[str]]
 
@@ -30,18 +31,11 @@ def write(results: dict[str, Any], folder: Path) -> list[Path]:
         for m in results["motions"]
         for check in m["checks"]
     ]
-    _write_csv(paths[1], flat)
+    write_csv(paths[1], list(flat[0]), flat)
     orders = [{"table": t} | row for t, r in results["reduction"].items() for row in r["orders"]]
-    _write_csv(paths[2], orders)
+    write_csv(paths[2], list(orders[0]), orders)
     paths[3].write_text(markdown(results), encoding="utf-8")
     return paths
-
-
-def _write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def peaks_table(motions: Sequence[dict[str, Any]]) -> tuple[list[str], Rows]:

@@ -38,9 +38,7 @@ def test_random_systems_against_a_dense_grid(seed):
     gains = np.linalg.norm(C @ np.linalg.solve(z * np.eye(n) - A, B + 0j * z) + D, 2, axis=(1, 2))
     found = h_infinity_norm(A, B, C, D)
     assert found >= gains.max() * (1.0 - 1e-9)
-    assert found == pytest.approx(
-        gains.max(), rel=1e-4
-    )  # the grid misses a peak by its step squared
+    assert found == pytest.approx(gains.max(), rel=1e-4)  # the grid misses a peak by its step squared
 
 
 def test_scaling_the_system_scales_the_norm():
