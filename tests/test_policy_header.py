@@ -147,14 +147,14 @@ def test_numbers_beyond_reason_are_refused(value, part):
 
 def test_a_policy_whose_decisions_are_not_finite_is_refused_at_load(tmp_path):
     policy = load_policy(shipped_policy())
-    largest = np.float32(LARGEST)
-    # Each weight is within its range; three layers of them overflow float32, and inf - inf is NaN.
-    grown = tuple(np.where(w >= 0.0, largest, -largest).astype(np.float32) for w in policy.weights)
-    stack = (*grown[:-1], *[np.where(np.eye(len(grown[-2])) > 0, largest, -largest)] * 6, grown[-1])
-    biases = (*policy.biases[:-1], *[np.zeros(len(grown[-2]), np.float32)] * 6, policy.biases[-1])
-    wild = PolicyFile(
-        **{**vars(policy), "weights": tuple(s.astype(np.float32) for s in stack), "biases": biases}
-    )
+    # Each weight is within its range; eight layers of them overflow float32, and inf - inf is NaN.
+    width = len(policy.biases[-2])
+    layers = [np.full((width, width), LARGEST, np.float32)] * 8
+    last = np.where(np.arange(width) % 2, LARGEST, -LARGEST).astype(np.float32)[None]
+    first = policy.weights[:-1]
+    biases = (*policy.biases[:-1], *[np.ones(width, np.float32)] * 8, policy.biases[-1])
+    changed = {"weights": (*first, *layers, last), "biases": biases, "activation": "relu"}
+    wild = PolicyFile(**{**vars(policy), **changed, "direct": False})
     wild.save(tmp_path / "wild.safetensors")
     with pytest.raises(PolicyFileError, match="trial decision"):
         load_policy(tmp_path / "wild.safetensors")
