@@ -29,7 +29,7 @@ model = PPO(
     batch_size=2048,
     learning_rate=lambda left: 3e-4 * left,  # falls to zero
     gamma=gamma,
-    policy_kwargs={"log_std_init": -2.0},  # exploration of 8 mA instead of SB3's 63 mA
+    policy_kwargs={"log_std_init": -2.0},  # exploration of 8.5 mA instead of SB3's 63 mA
     seed=arguments.seed,
     device="cpu",
 )
