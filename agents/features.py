@@ -176,6 +176,27 @@ PREVIEW_SHARE = 0.4  # of its rms is what the target changes by in 5 ms
 FLOW_SHARE = 0.03  # the oil is stiff: of the flow through the valve a few percent compress it
 
 
+class FeatureMap:
+    """From observations to what `LinearFeatures` makes of them, in numpy.
+
+    Parameters
+    ----------
+    scenario
+        What is observed.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._matrix = feature_matrix(scenario).astype(np.float32)
+        self._sizes = feature_sizes(scenario).astype(np.float32)
+        bound = CLIP * self._sizes
+        self.space = spaces.Box(-bound, bound, dtype=np.float32)
+
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the features (..., features) of observations (..., n)."""
+        features: NDArray[np.float32] = np.clip(observation @ self._matrix.T, -CLIP, CLIP) * self._sizes
+        return features
+
+
 class LinearFeatures(BaseFeaturesExtractor):
     """A fixed linear map of the observation, clipped to ``+-clip``.
 

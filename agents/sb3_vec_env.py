@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
@@ -252,5 +253,8 @@ class ShakeTableVecEnv(VecEnv):
         return [result for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
-        """Return False for every lane: lanes are no environments that could be wrapped."""
-        return [False for _ in self._get_indices(indices)]
+        """Return True for `Monitor` only: an info at an episode's end holds the record that it writes.
+
+        ``evaluate_policy`` then reports true returns, whatever `reward_scale` is.
+        """
+        return [issubclass(wrapper_class, Monitor) for _ in self._get_indices(indices)]

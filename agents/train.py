@@ -31,11 +31,11 @@ from agents.policy_file import digest, load_policy
 from agents.progress import Progress
 from agents.report_estimates import learning_curve
 from agents.sb3_vec_env import ShakeTableVecEnv
+from agents.training_scenario import make_training_scenario, reward_scale
 from agents.training_view import example_figure
 from baselines.clairvoyant import clairvoyant
 from baselines.lqr import lqr
-from shake_env.errors import RunDirectoryError, ScenarioError
-from shake_env.limits import Limits
+from shake_env.errors import RunDirectoryError
 from shake_env.motion import FilteredNoise, MotionSet
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario import Scenario
@@ -164,18 +164,16 @@ def go_on(
 
 def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
     """Return the scenario with training's episode length and its early end of hopeless episodes."""
-    limits = scenario.limits
-    if limits == Limits():  # the linear setting: only divergence ends an episode
-        limits = Limits(state_limit=config.state_limit, cost_horizon=config.lookahead)
-    motion = scenario.motion
-    if scenario.name == "records":
-        raise ScenarioError("scenario", "records", "is tested on: train on laboratory, the same table")
-    if isinstance(motion, FilteredNoise):
-        motion = replace(motion, duration=config.episode)
-        if config.artificial:
-            others = artificial_motions(scenario, config.artificial, config.seed * RUN_SEEDS)
-            motion = MotionSet((*[motion] * config.artificial, *others))
-    return replace(scenario, limits=limits, motion=motion)
+    made = make_training_scenario(
+        scenario,
+        horizon=config.lookahead,
+        duration=config.episode,
+        state_limit=config.state_limit,
+    )
+    if isinstance(made.motion, FilteredNoise) and config.artificial:
+        others = artificial_motions(scenario, config.artificial, config.seed * RUN_SEEDS)
+        made = replace(made, motion=MotionSet((*[made.motion] * config.artificial, *others)))
+    return made
 
 
 def training_tables(config: TrainConfig, scenario: Scenario) -> ShakeTableVecEnv:
@@ -186,16 +184,8 @@ def training_tables(config: TrainConfig, scenario: Scenario) -> ShakeTableVecEnv
         chosen.tables,
         base=base_law(chosen.base, scenario),
         authority=chosen.authority,
-        # Values are then of the size of a stage cost. Unscaled they are 1 / (1 - gamma) times that, and
-        # the value function spends thousands of steps growing while the policy follows its noise.
-        # Weak motions cost their amplitude's square less.
-        reward_scale=(1.0 - config.discount(scenario.control_period)) / _intensity(scenario),
+        reward_scale=reward_scale(scenario, config.discount(scenario.control_period)),
     )
-
-
-def _intensity(scenario: Scenario) -> float:
-    motion = scenario.motion
-    return motion.amplitude**2 if isinstance(motion, FilteredNoise) and motion.amplitude else 1.0
 
 
 class _Watch(BaseCallback):

@@ -91,6 +91,20 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     records are weaker, and lose more by it), so that ending an episode never pays. Coming close to a
     limit costs where the scenario has soft ones (``soft_limit_cost``).
 
+    What the scenario's reference controller and zero current get, as means over 64 earthquakes of
+    filtered noise (seeds 0 to 63) of 10 s, which are 2000 control periods:
+
+    | scenario | controller | reward per step | return per episode |
+    |---|---|---|---|
+    | linear | lqr | -0.2086 | -417.2 |
+    | linear | none | -1.953 | -3906 |
+    | laboratory | lqg | -0.002728 | -5.457 |
+    | laboratory | none | -0.07919 | -158.4 |
+
+    In ``linear`` no controller has a higher expected reward than LQR's, -0.2085 per step in the
+    stationary state. White noise of standard deviation 1, with which SB3's PPO begins, gets about -30000
+    per step: see ``docs/howto/train_with_sb3.md``.
+
     ## Start and end
 
     Table and specimen start at rest, with the motion at its beginning. ``truncated`` at the end of the

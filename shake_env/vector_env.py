@@ -21,12 +21,27 @@ from shake_env.simulation import BoolArray, Simulation, StepResult, checked_acti
 _KEYS = tuple((key, f"_{key}") for key in INFO_KEYS)  # of a value, and of whether a lane has one
 
 
-class ShakeTableVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+class _NamesSB3Env(type):
+    """Says in messages of other libraries what Stable-Baselines3 takes instead.
+
+    SB3 rejects a Gymnasium vector environment by its type alone, before it touches any attribute of it,
+    with a message that contains ``f"{type(env)}"`` and names no remedy. That text is all that can be
+    changed from here; ``repr`` and ``str`` of the class stay as they are.
+    """
+
+    def __format__(cls, format_spec: str) -> str:
+        return f"{cls!r} (for Stable-Baselines3 use agents.sb3_env.make_sb3_env instead of make_vec)"
+
+
+class ShakeTableVectorEnv(
+    VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]], metaclass=_NamesSB3Env
+):
     """N shake tables, stepped together; each lane is what `ShakeTableEnv` is alone.
 
     The spaces, reward, episode ends and `info` are those of ``ShakeTableEnv``, with a leading axis of
     N lanes. Lane i of ``reset(seed=s)`` repeats the single environment's ``reset(seed=s + i)`` and all
-    the episodes that follow it, in any batch size.
+    the episodes that follow it, in any batch size. Stable-Baselines3 takes no Gymnasium vector
+    environment: give it ``agents.sb3_env.make_sb3_env``.
 
     Parameters
     ----------

@@ -13,6 +13,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordEpisodeStatistics, TimeLimit
 
+from baselines.registry import make_baseline, reference_name
 from shake_env import (
     Objective,
     RecordedMotion,
@@ -22,6 +23,7 @@ from shake_env import (
 )
 from shake_env.env import INFO_KEYS
 from shake_env.errors import ActionError, ParameterError, ScenarioError
+from shake_env.rollout import noise_earthquakes, rollout
 from shake_env.simulation import Simulation
 
 SHORT = {"duration": 0.5}
@@ -125,6 +127,21 @@ def test_docstring_names_the_high_pass_entries():
         ["(2, 3)", "(ground displacement, velocity: only with the high-pass)", "(m, m/s)"]
     ]
     assert names[2:4] == ("ground displacement [m]", "ground velocity [m/s]")
+
+
+@pytest.mark.parametrize("name", ["linear", "laboratory"])
+def test_docstring_says_what_reference_and_no_control_get(name):
+    """Within the rounding of the text."""
+    scenario = make_scenario(name, {"duration": 10.0})
+    earthquakes = noise_earthquakes(scenario, 64)
+    table = {(row[0], row[1]): row[2:] for row in rows(ShakeTableEnv.__doc__, "Reward")}
+    assert {key[0] for key in table} == {"linear", "laboratory"}
+    for controller in (reference_name(scenario), "none"):
+        episodes, _ = rollout(make_baseline(controller, scenario), scenario, earthquakes)
+        reward = -np.mean([episode.cost for episode in episodes])
+        per_step, per_episode = (float(cell) for cell in table[name, controller])
+        assert reward == pytest.approx(per_step, rel=5e-4)
+        assert reward * 2000 == pytest.approx(per_episode, rel=5e-4)
 
 
 def test_docstring_is_the_contract_of_info_and_arguments():

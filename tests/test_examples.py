@@ -19,6 +19,7 @@ SHORT = {
     "custom_specimen.py": ["--earthquakes", "2"],
     "peer_record.py": ["--seconds", "10"],
     "sb3_evaluate_policy.py": ["--steps", "512", "--duration", "1"],
+    "sb3_ppo.py": ["--steps", "8192"],
     "cleanrl_ppo.py": ["--steps", "2048", "--tables", "8"],
 }
 
@@ -67,6 +68,25 @@ def test_sb3_evaluate_policy(monkeypatch, capsys):
     costs = [float(c) for c in re.findall(r"mean stage cost +([\d.]+)", out)]
     assert len(costs) == 4
     assert costs[0] < costs[1] < costs[3]  # LQR, the policy that ships, a table that stands still
+
+
+def test_sb3_ppo(monkeypatch, capsys):
+    threads = torch.get_num_threads()
+    out = run("sb3_ppo.py", monkeypatch, capsys)
+    torch.set_num_threads(threads)
+    assert number(r"ratio ([\d.]+)", out) > 1.0  # no controller beats LQR here
+    assert "8192 steps" in out
+
+
+@pytest.mark.slow
+def test_sb3_ppo_ends_near_lqr(monkeypatch, capsys):
+    """Two minutes of one core; the table in the guide has three seeds."""
+    monkeypatch.setitem(SHORT, "sb3_ppo.py", ["--steps", "2000000"])
+    threads = torch.get_num_threads()
+    out = run("sb3_ppo.py", monkeypatch, capsys)
+    torch.set_num_threads(threads)
+    assert 1.0 < number(r"ratio ([\d.]+)", out) < 1.2
+    assert " 0 episodes ended by a limit" in out
 
 
 def test_cleanrl_loop(monkeypatch, capsys):
