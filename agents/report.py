@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.compare import CLAIRVOYANT, Comparison, Histories
+from agents.compare import Comparison, Histories
+from agents.controller_set import CLAIRVOYANT
 from agents.fidelity import spectrum
 from agents.named_controller import file_of
 from agents.policy_file import PolicyFile, load_policy

@@ -127,7 +127,7 @@ def controllers() -> str:
         places = ", ".join(s for s, scenario in built.items() if suits(name, scenario))
         rows.append((f"`{name}`", baseline.summary, places))
         for each, t in baseline.tunable.items():
-            found = {s: tuned_parameters(name, s).get(each) for s in DESIGNABLE}
+            found = {s: tuned_parameters(name, built[s]).get(each) for s in DESIGNABLE}
             values = ", ".join(f"{s} {value:.4g}" for s, value in found.items() if value is not None)
             kind = "logarithmic" if t.logarithmic else "linear"
             tuned.append(
