@@ -16,6 +16,7 @@ from agents.controller_set import (
     CLAIRVOYANT,
     describe_values,
     named_controllers,
+    require_names,
     values_to_json,
 )
 from agents.fidelity import Fidelity, fidelity
@@ -186,8 +187,9 @@ def compare(
     Raises
     ------
     ParameterError
-        If no earthquake is asked for.
+        If no earthquake is asked for, or no controller.
     """
+    require_names(names)
     recorded = recorded_earthquakes(scenario) if records else []
     earthquakes = [*motions, *recorded, *noise_earthquakes(scenario, noise, seed)]
     if not earthquakes:

@@ -54,7 +54,8 @@ def print_tables(comparison: Comparison, console: Console) -> None:
     for name, share in comparison.interventions.items():
         console.print(f"The supervisor changed {100 * share:.2f} % of the commands of {_label(name)}.")
     for note in comparison.notes():
-        console.print(note, highlight=False, style="yellow" if note.startswith("Warning") else None)
+        style = "yellow" if note.startswith("Warning") else None
+        console.print(note, highlight=False, soft_wrap=True, style=style)
     for left_out in comparison.skipped:
         console.print(f"Left out: {left_out}.", style="yellow")
 

@@ -57,14 +57,11 @@ def named_controllers(
 
     Raises
     ------
-    ParameterError
-        If there is no name.
     ScenarioError
         If a named controller does not suit the scenario.
     PolicyFileError
         If a named policy cannot be read or does not fit the scenario.
     """
-    require_names(names)
     result = ControllerSet()
 
     def add(name: str) -> None:

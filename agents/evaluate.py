@@ -35,6 +35,7 @@ from shake_env.errors import ParameterError, PolicyFileError
 from shake_env.motion import FilteredNoise
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
 from shake_env.scenario import Scenario
+from shake_env.scenario_digest import known_name
 
 FORMAT = "shake-evaluation-1"
 LANES = 64  # earthquakes side by side where figures are made of their trajectories, which need memory
@@ -79,7 +80,7 @@ def contestant(text: str, scenario: Scenario) -> Contestant:
     if text in BASELINES or text in (CLAIRVOYANT, *FOUND):
         return Contestant(text)
     if text in SHIPPED:
-        return _learned(text, [shipped_policy(text, scenario.name)], scenario)
+        return _learned(text, [shipped_policy(text, known_name(scenario))], scenario)
     if is_own_controller(text):
         own_baseline(text)  # says at once if there is no such class
         return Contestant(text)
@@ -198,7 +199,7 @@ def evaluate(
     if earthquakes < 2:
         raise ParameterError("earthquakes", earthquakes, "an interval needs at least 2")
     code = code_version()  # that runs, not that ends
-    recorded = scenario.name == "records"
+    recorded = known_name(scenario) == "records"
     quakes = (
         recorded_earthquakes(scenario)
         if recorded

@@ -16,6 +16,7 @@ from shake_env.controller import Controller
 from shake_env.errors import ScenarioError, unknown
 from shake_env.rollout import Earthquake
 from shake_env.scenario import Scenario
+from shake_env.scenario_digest import known_name
 
 
 def named_controller(
@@ -54,7 +55,7 @@ def named_controller(
         baseline = BASELINES[name] if name in BASELINES else own_baseline(name)
         return designed(name, baseline, scenario, parameters or {}, earthquakes)
     require_controller(name)
-    policy = load_policy(file_of(name, scenario.name))
+    policy = load_policy(file_of(name, known_name(scenario)))
     policy.check(scenario)
     return policy
 

@@ -33,6 +33,7 @@ from shake_env.errors import ParameterError, ScenarioError, unknown
 from shake_env.metrics import EpisodeMetrics
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
 from shake_env.scenario import Scenario
+from shake_env.scenario_digest import known_name
 
 FORMAT = "shake-robustness-1"
 SEED = 5_000_000  # far from those of training, comparison, tuning and the protocol's test
@@ -111,12 +112,11 @@ def point(scenario: Scenario, values: Mapping[str, float]) -> Change:
 
 
 def default_controllers(scenario: Scenario) -> tuple[str, ...]:
-    """Return the policies that ship for a scenario of this name, and the classical ones beside."""
-    trained = "laboratory" if scenario.name == "records" else scenario.name
-    own = (
-        name for name in SHIPPED if shipped_policy(name, scenario.name).stem.startswith(f"{trained}-")
-    )
-    return (*own, *RIVALS.get(scenario.name, ()))
+    """Return the policies that ship for a scenario, and the classical ones beside."""
+    known = known_name(scenario)
+    trained = "laboratory" if known == "records" else known
+    own = (name for name in SHIPPED if shipped_policy(name, known).stem.startswith(f"{trained}-"))
+    return (*own, *RIVALS.get(known, ()))
 
 
 def controllers_of(
@@ -141,7 +141,7 @@ def controllers_of(
             sources[name] = {
                 "algorithm": config.get("algorithm"),
                 "seed": config.get("seed"),
-                "sha256": digest(file_of(name, scenario.name)),
+                "sha256": digest(file_of(name, known_name(scenario))),
             }
     return chosen, sources
 
@@ -150,7 +150,7 @@ def test_earthquakes(scenario: Scenario, number: int, seed: int) -> list[Earthqu
     """Return the recorded motions of a scenario of records, and filtered noise of any other."""
     if number < 1:
         raise ParameterError("earthquakes", number, "ask for at least 1")
-    if scenario.name == "records":
+    if known_name(scenario) == "records":
         return recorded_earthquakes(scenario)
     return noise_earthquakes(scenario, number, seed)
 
@@ -214,7 +214,7 @@ def robustness(
         "version": shake_env.__version__,
         "code": code,
         "machine": f"{platform.machine()}, {os.cpu_count()} cores",
-        "seed": None if scenario.name == "records" else seed,
+        "seed": None if known_name(scenario) == "records" else seed,
         "earthquakes": [quake.name for quake in quakes],
         "reference": reference,
         "skipped": chosen.skipped,

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from agents.policy_file import PolicyFile
 from shake_env.errors import ShakeError
 from shake_env.motion import FilteredNoise
 from shake_env.scenario import Scenario
+from shake_env.sensing import UNITS
 from shake_env.uncertainty import Uniform
 
 FAR = 1.0  # distance beyond which a reader is warned
@@ -54,9 +56,9 @@ class Parameter:
             return 0.0
         if self.difference:
             return (high - low) / self.step
-        if low <= 0.0 or math.isinf(high):
+        if min(low, high) <= 0.0 or math.isinf(max(low, high)):  # one has it, the other has not
             return math.inf if high > low else -math.inf
-        return math.log(high / low) / math.log(self.step) if high > 0.0 else -math.inf
+        return math.log(high / low) / math.log(self.step)
 
 
 def _storey_frequency(scenario: Scenario) -> float:
@@ -72,13 +74,10 @@ def _damping_ratio(scenario: Scenario) -> float:
     return float(np.mean([c / (2.0 * math.sqrt(m * k)) for m, k, c in storeys]))
 
 
-def _sensor_noise(scenario: Scenario) -> float | None:
-    """Return the rms of the sensors' noise over each reading's scale [-]."""
-    sensors = scenario.sensing.sensors
-    if sensors is None:
-        return None
-    scale = scenario.observation.reading_scale
-    return float(np.sqrt(np.mean([(s.noise / k) ** 2 for s, k in zip(sensors, scale, strict=False)])))
+def _noise(signal: str, scenario: Scenario) -> float | None:
+    """Return the rms noise of a signal's sensor, in its unit."""
+    sensors = scenario.sensing.sensors or ()
+    return next((each.noise for each in sensors if each.signal == signal), None)
 
 
 def _amplitude(scenario: Scenario) -> float | None:
@@ -114,7 +113,10 @@ PARAMETERS = (
         difference=True,
         drawn="delay",
     ),
-    Parameter("sensor noise over a reading's scale", _sensor_noise, 3.0),
+    *(
+        Parameter(f"noise of {signal} [{UNITS[signal]}]", partial(_noise, signal), 3.0)
+        for signal in UNITS
+    ),
     Parameter("amplitude of the filtered noise", _amplitude, 1.5),
 )
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, Literal
 
 from baselines.catalogue import BASELINES, Baseline
@@ -17,10 +16,9 @@ from baselines.tuned_values import TunedEntry, TunedValues, packaged_values
 from shake_env.controller import Controller
 from shake_env.errors import ScenarioError, unknown
 from shake_env.motion import MotionSet
-from shake_env.named import NAMED
 from shake_env.rollout import Earthquake
 from shake_env.scenario import Scenario
-from shake_env.scenario_digest import scenario_digest
+from shake_env.scenario_digest import named_digest, scenario_digest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,8 +63,8 @@ def parameter_values(name: str, scenario: Scenario, tuned: TunedValues | None = 
     if entry := packaged_values().exact(name, digest):
         return _of_package(entry, "tuned on this scenario")
     # Nothing is tuned on the records that controllers are judged by: the same table's values serve.
-    records = isinstance(scenario.motion, MotionSet) and digest == _named_digest("records")
-    if records and (entry := packaged_values().exact(name, _named_digest("laboratory"))):
+    records = isinstance(scenario.motion, MotionSet) and digest == named_digest("records")
+    if records and (entry := packaged_values().exact(name, named_digest("laboratory"))):
         return _of_package(entry, "tuned on laboratory, the same table")
     if tuned is not None and (entry := tuned.only(name)):
         return _of_file(entry, tuned, f"{entry.scenario}, not this scenario")
@@ -80,11 +78,6 @@ def _of_package(entry: TunedEntry, description: str) -> ParameterValues:
 def _of_file(entry: TunedEntry, tuned: TunedValues, where: str) -> ParameterValues:
     description = f"{tuned.source}, tuned on {where}"
     return ParameterValues(parameters=entry.parameters, source="file", description=description)
-
-
-@lru_cache(maxsize=len(NAMED))
-def _named_digest(name: str) -> str:
-    return scenario_digest(NAMED[name]())
 
 
 def tuned_parameters(name: str, scenario: Scenario) -> dict[str, float]:

@@ -142,7 +142,8 @@ def controllers() -> str:
         "`records` has the laboratory's table, and takes what suits `laboratory`.\n",
         "## Free parameters\n",
         "What `shake tune` searches, and what it found for each scenario (`baselines/tuned.json`). "
-        "Where nothing was tuned the default holds.\n",
+        "Where nothing was tuned, as on a scenario that is changed, the default holds, or the values of "
+        "`--tuned FILE`.\n",
         table(("controller", "parameter", "range", "default", "tuned"), tuned),
     ])  # fmt: skip
 

@@ -6,12 +6,14 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
+from functools import lru_cache
 from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from shake_env.motion import FilteredNoise, MotionSet, RecordedMotion
+from shake_env.named import NAMED
 from shake_env.scenario import Scenario
 
 VERSION = 1  # of the canonical form
@@ -35,6 +37,20 @@ def scenario_digest(scenario: Scenario) -> str:
     plain = {name: _canonical(value, name) for name, value in parts.items()}
     text = json.dumps(_without_empty(plain), sort_keys=True, separators=(",", ":"))
     return f"{VERSION}:{hashlib.sha256(text.encode()).hexdigest()[:32]}"
+
+
+def known_name(scenario: Scenario) -> str:
+    """Return the name of the named scenario that a scenario is, whatever it is called; else its own."""
+    if scenario.name in NAMED and scenario == NAMED[scenario.name]():
+        return scenario.name
+    digest = scenario_digest(scenario)
+    return next((name for name in NAMED if named_digest(name) == digest), scenario.name)
+
+
+@lru_cache(maxsize=len(NAMED))
+def named_digest(name: str) -> str:
+    """Return the digest of a named scenario."""
+    return scenario_digest(NAMED[name]())
 
 
 def _canonical(value: Any, path: str) -> Any:
