@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from shake_env.errors import ParameterError
+from shake_env.parameters import is_number
 
 FORMAT = "shake-tuned-1"
 _REMEDY = "is no file of tuned values: shake tune CONTROLLER --keep FILE writes one"
@@ -108,11 +109,11 @@ def _entry(plain: Any, number: int, source: str) -> TunedEntry:
     if not isinstance(plain, dict) or not all(isinstance(plain.get(name), str) for name in names):
         raise ParameterError("tuned", source, f"entry {number} lacks one of {', '.join(names)}")
     parameters, search = plain.get("parameters"), plain.get("search", {})
-    numbers = isinstance(parameters, dict) and all(
-        isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v)
-        for v in parameters.values()
-    )
-    if not numbers or not isinstance(search, dict):
+    if (
+        not isinstance(parameters, dict)
+        or not isinstance(search, dict)
+        or not all(is_number(v) and math.isfinite(v) for v in parameters.values())
+    ):
         raise ParameterError("tuned", source, f"entry {number}: parameters must be finite numbers")
     return TunedEntry(
         controller=plain["controller"],
