@@ -34,6 +34,7 @@ from agents.scenario_command import ShowScenario
 from agents.tune_command import Tune
 from agents.validate_command import Validate
 from agents.watch_command import Watch
+from baselines.tuned_values import read_tuned
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,9 +51,13 @@ class Compare:
     """
 
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
-    controllers: tuple[str, ...] = ("lqr", "none", "policy", "analytic", "off-policy")
+    controllers: tuple[str, ...] = ("none", "policy", "analytic", "off-policy")
     """Names of classical controllers, all (every one that suits the scenario), policy, analytic
-    and off-policy (those that ship), or paths of policy files and run directories."""
+    and off-policy (those that ship), paths of policy files and run directories, or module:Class and
+    file.py:Class for one of one's own. The reference (LQR, or LQG where signals are measured) always
+    runs."""
+    tuned: Path | None = None
+    """File of tuned values that shake tune --keep wrote, for a scenario that nothing was tuned on."""
     noise: int = 32
     """Number of filtered-noise earthquakes."""
     records: bool = True
@@ -118,6 +123,7 @@ class Compare:
                 seed=self.seed,
                 motions=motions,
                 supervised=self.supervised,
+                tuned=None if self.tuned is None else read_tuned(self.tuned),
                 on_progress=on_progress,
                 **({} if gathered is None else {"on_histories": gathered}),
             )
@@ -136,15 +142,23 @@ class Compare:
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """Design the sampled-data LQR of a specimen and print the fidelity to expect of it.
+    """Print the fidelity to expect of a scenario's controller, and the LQR of its table and specimen.
+
+    What theory gives exactly is calculated: the linear table with its full state. Else the scenario's
+    reference (LQG where signals are measured) is simulated, and the full-state LQR is named as a bound.
 
     Try:
       shake design
+      shake design --scenario laboratory
       shake design --stories 4 --mass-ratio 0.3 --control-rate 200 --json
       shake design --acceleration-weight 1 --force-weight 0
     """
 
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
+    earthquakes: int = 16
+    """Number of earthquakes where the fidelity has to be simulated."""
+    tuned: Path | None = None
+    """File of tuned values that shake tune --keep wrote, for a scenario that nothing was tuned on."""
     json: bool = False
     """Print one JSON object on standard output and nothing else there."""
 
@@ -153,7 +167,8 @@ class Design:
         from agents.design import design, print_design
 
         scenario = self.scenario.build()
-        found = design(scenario)
+        tuned = None if self.tuned is None else read_tuned(self.tuned)
+        found = design(scenario, self.earthquakes, tuned, Console(stderr=True).print)
         print_design(found, scenario, console)
         return found
 
@@ -217,7 +232,7 @@ class Train:
             f"cost relative to {result.reference} {result.cost_ratio:.4f} after {result.best_steps} of "
             f"{result.steps} steps, {result.seconds:.0f} s\n"
             f"wrote {self.run_directory / 'policy.safetensors'}\n"
-            f"compare it: shake compare --controllers lqr policy {self.run_directory}"
+            f"compare it: shake compare --controllers policy {self.run_directory}"
         )
         return asdict(result)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -10,22 +11,41 @@ from agents.estimated_law import EstimatedLaw
 from agents.free_design import FREE, found_by_search
 from baselines.lqr import action_row, sampled_lqr
 from baselines.preview_lqr import PreviewFeedback
-from baselines.registry import make_baseline
+from baselines.registry import make_baseline, parameter_values
+from shake_env.overrides import make_scenario
 from shake_env.parameters import FloatArray
 from shake_env.scenario import Scenario
 
 BaseLaw = Literal["none", "flow", "lqr", "preview-lqr", "lqg", "lqg-accommodating", "free"]
 
 
-def base_law(law: BaseLaw, scenario: Scenario) -> FloatArray | EstimatedLaw:
-    """Return the law that a policy corrects: a row as `base_row`'s, or one behind an estimator."""
+def base_law(
+    law: BaseLaw, scenario: Scenario, tuned_on: Scenario | None = None
+) -> FloatArray | EstimatedLaw:
+    """Return the law that a policy corrects: a row as `base_row`'s, or one behind an estimator.
+
+    Its parameters are what was tuned for exactly `tuned_on` (None: the scenario itself).
+    """
     seen = scenario.sensing.full_state and not scenario.delay
     if law in ("lqg", "lqg-accommodating") or (law == FREE and not seen):
-        return EstimatedLaw.of(law, scenario)
-    return base_row(law, scenario)
+        parameters = parameter_values(law, tuned_on or scenario).parameters
+        return EstimatedLaw.of(law, scenario, parameters)
+    return base_row(law, scenario, tuned_on)
 
 
-def base_row(law: BaseLaw, scenario: Scenario) -> FloatArray:
+def at_own_cost(scenario: Scenario, name: str) -> Scenario:
+    """Return a scenario with the objective and the soft limits of the named one.
+
+    A recipe may change what its learner is charged; the law that it corrects stays the one that was
+    tuned at the named scenario's own cost.
+    """
+    named = make_scenario(name)
+    own = named.limits
+    limits = replace(scenario.limits, soft_share=own.soft_share, soft_weight=own.soft_weight)
+    return replace(scenario, objective=named.objective, limits=limits)
+
+
+def base_row(law: BaseLaw, scenario: Scenario, tuned_on: Scenario | None = None) -> FloatArray:
     """Return the law as a row (n,): fraction of the current limit per entry of the observation.
 
     ``flow`` is the current whose steady flow is what the table's own velocity uses,
@@ -37,7 +57,11 @@ def base_row(law: BaseLaw, scenario: Scenario) -> FloatArray:
     if law == "none":
         return np.zeros(scenario.observation.size)
     if law in ("preview-lqr", FREE):
-        controller = found_by_search(scenario) if law == FREE else make_baseline(law, scenario)
+        parameters = parameter_values(law, tuned_on or scenario).parameters
+        if law == FREE:
+            controller = found_by_search(scenario, parameters=parameters)
+        else:
+            controller = make_baseline(law, scenario, parameters)
         assert isinstance(controller, PreviewFeedback)
         return controller.row
     layout, actuator = scenario.plant.layout, scenario.actuator

@@ -11,20 +11,24 @@ from pathlib import Path
 from typing import Any
 
 import shake_env
-from agents.compare import CLAIRVOYANT, Comparison, GroupSummary, compare, plain_row
+from agents.compare import Comparison, GroupSummary, compare, cost_text, plain_row
+from agents.controller_set import ALL, CLAIRVOYANT, values_to_json
 from agents.marked_page import put
 from baselines.registry import reference_name
+from baselines.tuned_values import TunedValues
 from shake_env import make_scenario
 from shake_env.errors import ParameterError
 
 TEST_SEED = 4_000_000  # neither training's, evaluation's, validation's nor `shake compare`'s
 SCENARIOS = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
+CONTROLLERS = (CLAIRVOYANT, ALL)
 
 
 def bench(
     scenario_name: str,
     earthquakes: int,
-    names: Sequence[str] = (CLAIRVOYANT, "all"),
+    names: Sequence[str] = CONTROLLERS,
+    tuned: TunedValues | None = None,
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
 ) -> dict[str, Any]:
     """Return the result of all controllers on test earthquakes of a scenario, as plain JSON values.
@@ -37,6 +41,8 @@ def bench(
         Number of filtered-noise earthquakes; `records` are run on the six records instead.
     names
         As for `compare`.
+    tuned
+        Tuned values of a file that was named; see `baselines.registry.parameter_values`.
     on_progress
         Told the controller that runs and its share done, 0 to 1.
     """
@@ -50,6 +56,7 @@ def bench(
         noise=0 if recorded else earthquakes,
         records=recorded,
         seed=TEST_SEED,
+        tuned=tuned,
         on_progress=on_progress,
     )
     return {
@@ -58,7 +65,10 @@ def bench(
         "machine": f"{platform.machine()}, {os.cpu_count()} cores",
         "seed": None if recorded else TEST_SEED,
         "reference": reference_name(scenario),
+        "controllers": list(names),
         "skipped": found.skipped,
+        "warnings": found.warnings,
+        "values": values_to_json(found.values),
         "rows": [plain_row(asdict(row)) for row in ranked(found)],
     }
 
@@ -77,12 +87,10 @@ def markdown(result: dict[str, Any]) -> str:
     )
     lines = [head, "|---|---|---|---|---|---|---|---|---|---|---|"]
     for row in result["rows"]:
-        digits = 3 if row["relative_cost_high"] < 10.0 else 1
-        low, high = row["relative_cost_low"], row["relative_cost_high"]
+        cost = cost_text(row["relative_cost"], row["relative_cost_low"], row["relative_cost_high"])
         lag = "-" if row["delay"] is None else f"{1e3 * row['delay']:.1f}"
         lines.append(
-            f"| {row['controller']} | {row['relative_cost']:.{digits}f} [{low:.{digits}f}, "
-            f"{high:.{digits}f}] | {100 * row['acceleration_rms_error']:.1f}, "
+            f"| {row['controller']} | {cost} | {100 * row['acceleration_rms_error']:.1f}, "
             f"{100 * row['acceleration_peak_error']:.0f} | {100 * row['base_shear_rms_error']:.1f}, "
             f"{100 * row['base_shear_peak_error']:.0f} | {lag} | {100 * row['spectral_error']:.0f} | "
             f"{row['arias_ratio']:.2f} | {row['drift_ratio']:.2f} | {row['energy_ratio']:.2f} | "
@@ -116,3 +124,29 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     """Return the results that a folder holds, in the order of `SCENARIOS`."""
     files = [folder / f"bench_{name}.json" for name in SCENARIOS]
     return [json.loads(file.read_text(encoding="utf-8")) for file in files if file.exists()]
+
+
+def difference(known: dict[str, Any], asked: int, names: Sequence[str], tuned: Path | None) -> str:
+    """Return in what a result differs from what is asked for, in words; empty: in nothing.
+
+    Parameters
+    ----------
+    known
+        A result of `bench`, on the scenario that is asked for.
+    asked
+        Number of earthquakes.
+    names
+        Of the controllers.
+    tuned
+        File of tuned values that is named.
+    """
+    number = known["rows"][0]["earthquakes"]
+    if known["seed"] is not None and number != asked:
+        return f"was made with {number} earthquakes, not {asked}"
+    before = known.get("controllers", list(CONTROLLERS))
+    if before != list(names):
+        return f"was made with the controllers {' '.join(before)}, not {' '.join(names)}"
+    sources = {each["source"] for each in known.get("values", {}).values()}
+    if tuned is not None or "file" in sources:
+        return "was made with other tuned values, or with values that may have changed"
+    return ""

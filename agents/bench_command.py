@@ -10,53 +10,114 @@ from typing import Any
 from rich.console import Console
 
 from agents.progress import progress_bar
+from baselines.tuned_values import read_tuned
+from shake_env.errors import ParameterError, ScenarioError, unknown
+from shake_env.named import NAMED
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
     """Run every classical controller on every named scenario. Scenarios that are done are kept.
 
+    A scenario is done where the folder of results holds a result of the same number of earthquakes and
+    the same controllers. The results that docs/controllers.md shows lie in docs/results.
+
     Try:
-      shake bench --scenarios laboratory --earthquakes 20 --results out/bench
-      shake bench --page docs/controllers.md
+      shake bench --scenarios laboratory --earthquakes 20
+      shake bench --controllers all controllers.py:MyController --results out/mine
+      shake bench --results docs/results --page docs/controllers.md
     """
 
     scenarios: tuple[str, ...] = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
     """Named scenarios."""
+    controllers: tuple[str, ...] = ("clairvoyant", "all")
+    """Names as shake compare takes them; all: every classical controller that suits the scenario."""
     earthquakes: int = 200
     """Test earthquakes of each; `records` has its six."""
-    results: Path = Path("docs/results")
+    tuned: Path | None = None
+    """File of tuned values that shake tune --keep wrote, for controllers that nothing was tuned for."""
+    results: Path = Path("out/bench")
     """Folder of the results, a JSON file each."""
     page: Path | None = None
     """Markdown page whose tables are renewed from all results."""
     again: bool = False
-    """Whether scenarios that are done are run again."""
+    """Whether scenarios that are done are run again, and results of other settings replaced."""
     json: bool = False
     """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Run what is not done, and say where it lies."""
-        from agents.bench import bench, markdown, put_tables, read_results
+        from agents.bench import markdown, put_tables, read_results
+        from agents.controller_set import describe_values, require_names
 
-        self.results.mkdir(parents=True, exist_ok=True)
-        found = {}
+        require_names(self.controllers)
+        if not self.scenarios:
+            raise ParameterError("scenarios", "none", f"name at least one of {', '.join(NAMED)}")
+        known = {name: self._known(name) for name in self.scenarios}  # before hours are spent
+        results = {}
         for name in self.scenarios:
             file = self.results / f"bench_{name}.json"
-            if file.exists() and not self.again:
-                found[name] = json.loads(file.read_text(encoding="utf-8"))
-                console.print(f"{name}: done before, {file}")
-                continue
-            with progress_bar() as progress:
-                task = progress.add_task(name, total=1.0)
-
-                def told(controller: str, share: float, name: str = name, task: Any = task) -> None:
-                    progress.update(task, completed=share, description=f"{name}, {controller}")
-
-                found[name] = bench(name, self.earthquakes, on_progress=told)
-            file.write_text(json.dumps(found[name], indent=1) + "\n", encoding="utf-8")
-            console.print(f"wrote {file}")
-            console.print(markdown(found[name]), highlight=False)
+            result = known[name]
+            if result is not None:
+                number = result["rows"][0]["earthquakes"]
+                console.print(
+                    f"{name}: read from {file}, made before with {number} earthquakes by version "
+                    f"{result['version']} (--again runs it anew)",
+                    soft_wrap=True,
+                )
+            else:
+                result = self._run(name)
+                file.parent.mkdir(parents=True, exist_ok=True)
+                partial = file.with_suffix(".partial")
+                partial.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+                partial.replace(file)
+                console.print(f"wrote {file}")
+            results[name] = result
+            console.print(markdown(result), highlight=False, soft_wrap=True)
+            for note in (describe_values(result.get("values", {})), *result.get("warnings", ())):
+                if note:
+                    console.print(note, highlight=False, soft_wrap=True)
         if self.page is not None:
             put_tables(self.page, read_results(self.results))
             console.print(f"wrote {self.page}")
-        return found
+        return results
+
+    def _known(self, name: str) -> dict[str, Any] | None:
+        """Return the result that answers for a scenario; None where it has to be run.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such scenario.
+        ParameterError
+            If its file cannot be read, or holds a result of other settings.
+        """
+        from agents.bench import difference
+
+        if name not in NAMED:
+            raise unknown(ScenarioError, "scenario", name, NAMED)
+        file = self.results / f"bench_{name}.json"
+        if self.again or not file.exists():
+            return None
+        try:
+            known: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+            other = difference(known, self.earthquakes, self.controllers, self.tuned)
+        except (OSError, UnicodeDecodeError, ValueError, LookupError, TypeError) as error:
+            remedy = f"is no result of shake bench ({error}): move it away, or give --again"
+            raise ParameterError("results", str(file), remedy) from error
+        if other:
+            remedy = f"{other}: give --again to replace it, or another folder by --results"
+            raise ParameterError("results", str(file), remedy)
+        return known
+
+    def _run(self, name: str) -> dict[str, Any]:
+        from agents.bench import bench
+
+        with progress_bar() as progress:
+            task = progress.add_task(name, total=1.0)
+
+            def on_progress(controller: str, share: float) -> None:
+                progress.update(task, completed=share, description=f"{name}, {controller}")
+
+            tuned = None if self.tuned is None else read_tuned(self.tuned)
+            return bench(name, self.earthquakes, self.controllers, tuned, on_progress=on_progress)

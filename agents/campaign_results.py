@@ -16,6 +16,7 @@ from agents.result_tables import PREFIX, write_result
 from baselines import clairvoyant
 from baselines.registry import tuned_parameters
 from shake_env.errors import ParameterError
+from shake_env.scenario import Scenario
 
 CLAIRVOYANT_DESIGN = {
     "position": clairvoyant.POSITION,
@@ -59,7 +60,7 @@ def evaluate_arena(
     known = None
     if file.exists() and not again:
         known = _read(file, arena)
-    missing = [row for row in rows if known is None or not _holds(row, known["identity"])]
+    missing = [row for row in rows if known is None or not _holds(row, known["identity"], scenario)]
     same_floor = known is not None and known["identity"]["clairvoyant"] == CLAIRVOYANT_DESIGN
     if known is not None and not missing and same_floor:
         return file, known, False
@@ -88,7 +89,7 @@ def _read(file: Path, arena: Arena) -> dict[str, Any]:
     return known
 
 
-def _holds(row: Contestant, known: dict[str, Any]) -> bool:
+def _holds(row: Contestant, known: dict[str, Any], scenario: Scenario) -> bool:
     """Return whether a known row is this one's: the same rival, or policies that it was made of.
 
     Raises
@@ -99,9 +100,7 @@ def _holds(row: Contestant, known: dict[str, Any]) -> bool:
     if row.name not in known["rows"]:
         return False
     if not row.policies:
-        tuned: bool = known["tuned"].get(row.name, {}) == tuned_parameters(
-            row.name, known["arena"]["scenario"]
-        )
+        tuned: bool = known["tuned"].get(row.name, {}) == tuned_parameters(row.name, scenario)
         return tuned
     here = Counter(source["sha256"] for source in row.sources)
     there = Counter(known["rows"][row.name])
@@ -125,7 +124,8 @@ def _asked(arena: Arena) -> dict[str, Any]:
 
 def _identity(result: dict[str, Any], arena: Arena) -> dict[str, Any]:
     rows = {row["controller"]: [s["sha256"] for s in row["sources"]] for row in result["rows"]}
-    tuned = {name: tuned_parameters(name, arena.options.scenario) for name in rows if not rows[name]}
+    scenario = arena.options.build()
+    tuned = {name: tuned_parameters(name, scenario) for name in rows if not rows[name]}
     return {
         "arena": _asked(arena),
         "clairvoyant": CLAIRVOYANT_DESIGN,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,17 +12,22 @@ from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
 import shake_env
+from agents.controller_set import (
+    CLAIRVOYANT,
+    describe_values,
+    named_controllers,
+    require_names,
+    values_to_json,
+)
 from agents.fidelity import Fidelity, fidelity
 from agents.frames import Rows, to_frame
-from agents.free_design import FOUND, FREE, found_by_search
-from agents.named_controller import named_controller, require_controller
-from agents.shipped import SHIPPED
 from baselines.catalogue import BASELINES
 from baselines.clairvoyant import clairvoyant
 from baselines.drive_file import DriveFile
-from baselines.registry import make_baseline, reference_name, tuned_parameters
+from baselines.registry import ParameterValues
+from baselines.tuned_values import TunedValues
 from shake_env.controller import Controller
-from shake_env.errors import ParameterError, PolicyFileError, ShakeError
+from shake_env.errors import ParameterError
 from shake_env.metrics import EpisodeMetrics
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
 from shake_env.scenario import Scenario
@@ -40,9 +45,7 @@ FIGURES = (
     "base_shear_peak_error",
 )
 PEAKS = ("peak_current", "peak_velocity", "peak_displacement")
-CLAIRVOYANT = "clairvoyant"  # what regret is counted from, see `baselines.clairvoyant`
 Histories = Sequence[tuple[Earthquake, Trajectory]]
-ALL = "all"  # stands for every classical controller that suits the scenario
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ class GroupSummary:
     group: str  # "motions", "records" or "filtered noise"
     earthquakes: int
     relative_cost: float  # summed cost over the reference's summed cost on the same earthquakes [-]
-    relative_cost_low: float  # 95 % bootstrap interval over earthquakes, paired with the reference's
+    relative_cost_low: float  # 95 % bootstrap interval over earthquakes, paired; NaN: of one earthquake
     relative_cost_high: float
     mean_cost: float
     acceleration_rms_error: float  # mean over earthquakes, relative to the target's rms [-]
@@ -73,6 +76,10 @@ class GroupSummary:
     tests: int  # of each earthquake that it takes, the one that counts included
     damage: float  # median energy of the tests before that over one perfect test's [-]; NaN: none
 
+    def cost_text(self) -> str:
+        """Return the relative cost with its interval; of one earthquake without."""
+        return cost_text(self.relative_cost, self.relative_cost_low, self.relative_cost_high)
+
 
 @dataclass(frozen=True)
 class Comparison:
@@ -87,6 +94,8 @@ class Comparison:
     skipped: list[str]  # what was left out, and why
     interventions: dict[str, float]  # by controller: share of commands that a supervisor changed
     groups: list[str]  # of each earthquake, in their order
+    values: dict[str, ParameterValues] = field(default_factory=dict)  # by controller, with their source
+    warnings: list[str] = field(default_factory=list)  # policies far from what they were trained on
 
     def to_json(self, settings: dict[str, Any]) -> dict[str, Any]:
         """Return everything but the traces as plain JSON values."""
@@ -105,66 +114,18 @@ class Comparison:
             "traced": self.traced,
             "skipped": self.skipped,
             "interventions": self.interventions,
+            "values": values_to_json(self.values),
+            "warnings": self.warnings,
         }
+
+    def notes(self) -> list[str]:
+        """Return what a reader has to know of the controllers, in sentences."""
+        values = describe_values(values_to_json(self.values))
+        return ([values] if values else []) + [f"Warning: {text}." for text in self.warnings]
 
     def to_frame(self, rows: Rows = "episodes") -> DataFrame:
         """Return episodes, summaries or traces as a pandas frame; see `agents.frames`."""
         return to_frame(self, rows)
-
-
-def named_controllers(
-    names: Sequence[str], scenario: Scenario, earthquakes: Sequence[Earthquake] | None = None
-) -> tuple[dict[str, Controller], list[str]]:
-    """Return controllers by name, and what had to be left out.
-
-    Parameters
-    ----------
-    names
-        As `named_controller` takes them; ``all`` for every law of `baselines.catalogue` that suits the
-        scenario and what an independent search has found for it; ``clairvoyant``. The reference, which
-        costs are relative to, is always among them.
-    scenario
-        What they drive. What ``all`` or ``policy`` stand for is left out where it does not suit; what is
-        named raises.
-    earthquakes
-        One a lane; needed by controllers that repeat their tests beforehand.
-
-    Raises
-    ------
-    ScenarioError
-        If a named controller does not suit the scenario.
-    PolicyFileError
-        If a named policy cannot be read or does not fit the scenario.
-    """
-    reference = reference_name(scenario)
-    controllers: dict[str, Controller] = {
-        reference: make_baseline(reference, scenario, None, earthquakes)
-    }
-    skipped = []
-    for name in names:
-        if name == ALL:
-            for each in BASELINES:
-                try:
-                    if each not in controllers:
-                        controllers[each] = make_baseline(each, scenario, None, earthquakes)
-                except ShakeError as error:  # it does not suit the scenario, or its design fails there
-                    skipped.append(f"{each} ({error})")
-            if tuned_parameters(FREE, scenario.name):
-                controllers |= {each: found_by_search(scenario, each) for each in FOUND}
-        elif name == CLAIRVOYANT:
-            continue  # runs on a scenario of its own: `compare` sees to it
-        elif name == "lqr" and not scenario.sensing.full_state:
-            # A default that names LQR should not stop a scenario that does not show its state.
-            skipped.append(f"lqr (the scenario shows measured signals: {reference} estimates it)")
-        elif name not in controllers:
-            require_controller(name, ALL, CLAIRVOYANT)
-            try:
-                controllers[name] = named_controller(name, scenario, earthquakes)
-            except PolicyFileError as error:
-                if name not in SHIPPED:
-                    raise
-                skipped.append(f"the shipped {name} ({error})")
-    return controllers, skipped
 
 
 def decision_time(controller: Controller, scenario: Scenario, decisions: int = 200) -> float:
@@ -193,6 +154,7 @@ def compare(
     seed: int = 2_000_000,
     motions: Sequence[Earthquake] = (),
     supervised: bool = False,
+    tuned: TunedValues | None = None,
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
     on_histories: Callable[[str, Histories], None] = lambda controller, histories: None,
 ) -> Comparison:
@@ -214,6 +176,8 @@ def compare(
         Further earthquakes, a group of their own; the first of them is traced.
     supervised
         Whether a `Supervised` keeps every controller within the hard limits.
+    tuned
+        Tuned values of a file that was named; see `baselines.registry.parameter_values`.
     on_progress
         Told the controller that runs and its share done, 0 to 1.
     on_histories
@@ -223,8 +187,9 @@ def compare(
     Raises
     ------
     ParameterError
-        If no earthquake is asked for.
+        If no earthquake is asked for, or no controller.
     """
+    require_names(names)
     recorded = recorded_earthquakes(scenario) if records else []
     earthquakes = [*motions, *recorded, *noise_earthquakes(scenario, noise, seed)]
     if not earthquakes:
@@ -236,7 +201,8 @@ def compare(
         "filtered noise": range(noisy, len(earthquakes)),
     }
     traced = _strongest(recorded) if recorded and not motions else 0
-    controllers, skipped = named_controllers(names, scenario, earthquakes)
+    chosen = named_controllers(names, scenario, earthquakes, tuned)
+    controllers = dict(chosen.controllers)
     reference = next(iter(controllers))
     damage = {
         name: each.damage
@@ -287,7 +253,10 @@ def compare(
     ]
     name = earthquakes[traced].name
     of_each = [group for group, members in groups.items() for _ in members]
-    return Comparison(summaries, episodes, fidelities, traces, reference, name, skipped, shares, of_each)
+    return Comparison(
+        summaries, episodes, fidelities, traces, reference, name, chosen.skipped, shares, of_each,
+        chosen.values, chosen.warnings,
+    )  # fmt: skip
 
 
 def _strongest(recorded: Sequence[Earthquake]) -> int:
@@ -315,9 +284,7 @@ def summarise(
     base = np.asarray([row.cost for row in reference])
     low, high = _interval(cost, base)
     means = {figure: float(np.mean([getattr(row, figure) for row in rows])) for figure in FIGURES}
-    measures = {
-        field.name: _mean([getattr(f, field.name) for f in repeated]) for field in fields(Fidelity)
-    }
+    measures = {each.name: _mean([getattr(f, each.name) for f in repeated]) for each in fields(Fidelity)}
     peaks = {peak: float(np.max([getattr(row, peak) for row in rows])) for peak in PEAKS}
     return GroupSummary(
         controller=name,
@@ -345,6 +312,13 @@ def cost_ratio(
     return (float(_ratio(cost, base)), *_interval(cost, base))
 
 
+def cost_text(value: float, low: float | None, high: float | None) -> str:
+    """Return a cost with its interval in words, without one where there is none."""
+    known = low is not None and high is not None and low == low
+    digits = 3 if (high if known and high is not None else value) < 10.0 else 1
+    return f"{value:.{digits}f}" + (f" [{low:.{digits}f}, {high:.{digits}f}]" if known else "")
+
+
 def plain_row(row: dict[str, Any]) -> dict[str, Any]:
     """Return a row for JSON, which has no NaN: what is not defined (a still table's lag) is null."""
     return {key: None if value != value else value for key, value in row.items()}
@@ -360,10 +334,11 @@ def _ratio(cost: NDArray[np.float64], base: NDArray[np.float64], axis: int = -1)
 
 
 def _interval(cost: NDArray[np.float64], base: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the 95 % percentile-bootstrap interval of the cost ratio over earthquakes."""
-    if len(cost) < 2 or np.array_equal(cost, base):
-        ratio = float(_ratio(cost, base))
-        return ratio, ratio
+    """Return the 95 % percentile-bootstrap interval of the cost ratio; NaN of one earthquake."""
+    if len(cost) < 2:
+        return float("nan"), float("nan")
+    if np.array_equal(cost, base):
+        return 1.0, 1.0
     result = bootstrap(
         (cost, base), _ratio, paired=True, vectorized=True, method="percentile", n_resamples=9999,
         rng=np.random.default_rng(0),

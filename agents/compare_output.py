@@ -52,6 +52,9 @@ def print_tables(comparison: Comparison, console: Console) -> None:
             console.print(f"{_label(row.controller)} on {row.group}: {damage_note(row)}.")
     for name, share in comparison.interventions.items():
         console.print(f"The supervisor changed {100 * share:.2f} % of the commands of {_label(name)}.")
+    for note in comparison.notes():
+        style = "yellow" if note.startswith("Warning") else None
+        console.print(note, highlight=False, soft_wrap=True, style=style)
     for left_out in comparison.skipped:
         console.print(f"Left out: {left_out}.", style="yellow")
 
@@ -65,11 +68,7 @@ def damage_note(row: GroupSummary) -> str:
 
 
 def _cells(row: GroupSummary, reference: str) -> list[str]:
-    digits = 3 if row.relative_cost_high < 10.0 else 1
-    interval = (
-        f"{row.relative_cost:.{digits}f} "
-        f"\\[{row.relative_cost_low:.{digits}f}, {row.relative_cost_high:.{digits}f}]"
-    )
+    interval = row.cost_text().replace("[", "\\[")
     acceleration = f"{100 * row.acceleration_rms_error:.1f} {100 * row.acceleration_peak_error:5.1f}"
     shear = f"{100 * row.base_shear_rms_error:.1f} {100 * row.base_shear_peak_error:5.1f}"
     return [

@@ -7,6 +7,7 @@ shown what the estimator believes, and a gradient through the plant goes through
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -46,15 +47,22 @@ class EstimatedLaw:
     actions: int  # own actions remembered
 
     @classmethod
-    def of(cls, name: str, scenario: Scenario) -> EstimatedLaw:
+    def of(
+        cls, name: str, scenario: Scenario, parameters: Mapping[str, float] | None = None
+    ) -> EstimatedLaw:
         """Return the law of a controller's name, as `make_baseline` or the search designs it.
+
+        Its `parameters` are those of these; None takes what was tuned for exactly this scenario.
 
         Raises
         ------
         ScenarioError
             If that is no linear law on an estimate.
         """
-        controller = found_by_search(scenario) if name == FREE else make_baseline(name, scenario)
+        if name == FREE:
+            controller = found_by_search(scenario, parameters=parameters)
+        else:
+            controller = make_baseline(name, scenario, parameters)
         if not isinstance(controller, EstimatedState) or not isinstance(controller.law, PreviewFeedback):
             raise ScenarioError("base", name, "is no linear law behind an estimator on this scenario")
         return _matrices(scenario, controller, controller.law.row)

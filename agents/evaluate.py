@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,23 +14,28 @@ import numpy as np
 import shake_env
 from agents.bench import TEST_SEED
 from agents.code_version import code_version
-from agents.compare import CLAIRVOYANT, decision_time, plain_row
+from agents.compare import decision_time, plain_row
+from agents.controller_set import CLAIRVOYANT, values_to_json
 from agents.fidelity import fidelity
 from agents.free_design import FOUND
-from agents.named_controller import named_controller, require_controller
+from agents.named_controller import named_controller, require_controller, values_for
+from agents.own_controller import is_own_controller, own_baseline
 from agents.policy_file import PolicyFile, digest, load_policy
 from agents.scores import Episodes, cost_figures, summary
 from agents.shipped import SHIPPED, shipped_policy
+from agents.training_distance import training_warning
 from baselines.catalogue import BASELINES
 from baselines.clairvoyant import clairvoyant
 from baselines.lqr import sampled_lqr
 from baselines.preview_lqr import preview_lqr
 from baselines.registry import reference_name
+from baselines.tuned_values import TunedValues
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError, PolicyFileError
 from shake_env.motion import FilteredNoise
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
 from shake_env.scenario import Scenario
+from shake_env.scenario_digest import known_name
 
 FORMAT = "shake-evaluation-1"
 LANES = 64  # earthquakes side by side where figures are made of their trajectories, which need memory
@@ -58,8 +63,9 @@ def contestant(text: str, scenario: Scenario) -> Contestant:
     Parameters
     ----------
     text
-        A classical controller's name, ``clairvoyant``, ``policy`` or ``analytic`` (those that ship), or
-        ``PATH`` or ``NAME=PATH,PATH...``: policy files, run directories and folders of run directories,
+        A classical controller's name, ``clairvoyant``, ``policy`` or ``analytic`` (those that ship),
+        ``module:Class`` or ``file.py:Class`` (`agents.own_controller`), or ``PATH`` or
+        ``NAME=PATH,PATH...``: policy files, run directories and folders of run directories,
         whose policies together are one row.
     scenario
         What a policy has to fit.
@@ -74,7 +80,10 @@ def contestant(text: str, scenario: Scenario) -> Contestant:
     if text in BASELINES or text in (CLAIRVOYANT, *FOUND):
         return Contestant(text)
     if text in SHIPPED:
-        return _learned(text, [shipped_policy(text, scenario.name)], scenario)
+        return _learned(text, [shipped_policy(text, known_name(scenario))], scenario)
+    if is_own_controller(text):
+        own_baseline(text)  # says at once if there is no such class
+        return Contestant(text)
     name, separator, paths = text.rpartition("=")
     if not separator:
         require_controller(text, CLAIRVOYANT)
@@ -156,6 +165,7 @@ def evaluate(
     repeats: bool = True,
     resamples: int = 2000,
     known: dict[str, Any] | None = None,
+    tuned: TunedValues | None = None,
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
 ) -> dict[str, Any]:
     """Return the result of the protocol as plain JSON values.
@@ -175,6 +185,8 @@ def evaluate(
     known
         A result of the same scenario and earthquakes: its rows that are not run now are taken over,
         their costs held against reference and yardstick as those are now.
+    tuned
+        Tuned values of a file that was named; see `baselines.registry.parameter_values`.
     on_progress
         Told the controller that runs and its share done, 0 to 1.
 
@@ -187,7 +199,7 @@ def evaluate(
     if earthquakes < 2:
         raise ParameterError("earthquakes", earthquakes, "an interval needs at least 2")
     code = code_version()  # that runs, not that ends
-    recorded = scenario.name == "records"
+    recorded = known_name(scenario) == "records"
     quakes = (
         recorded_earthquakes(scenario)
         if recorded
@@ -207,6 +219,17 @@ def evaluate(
         )
     always = (yardstick, reference) if known is None else (yardstick, reference, WITNESS)
     rows = {name: given.pop(name, Contestant(name)) for name in dict.fromkeys(always)} | given
+    values = {
+        name: found
+        for name, each in rows.items()
+        if not each.policies and (found := values_for(name, scenario, tuned)) is not None
+    }
+    warnings = [
+        f"{name} {text}"
+        for name, each in rows.items()
+        for text in dict.fromkeys(training_warning(policy, scenario) for policy in each.policies)
+        if text
+    ]
     machine = f"{platform.machine()}, {os.cpu_count()} cores"
     episodes, latency = {}, {}
     for name, each in rows.items():
@@ -214,8 +237,9 @@ def evaluate(
         def told(share: float, name: str = name) -> None:
             on_progress(name, share)
 
-        episodes[name] = _episodes(each, scenario, quakes, repeats, told)
-        latency[name] = _latency(each, scenario)
+        parameters = values[name].parameters if name in values else None
+        episodes[name] = _episodes(each, scenario, quakes, repeats, told, parameters)
+        latency[name] = _latency(each, scenario, parameters)
     costs = (episodes[yardstick].cost, episodes[reference].cost)
     summaries = [
         summary(
@@ -254,6 +278,8 @@ def evaluate(
         "yardstick": yardstick,
         "optimal_cost": optimum,
         "resamples": resamples,
+        "values": ({} if known is None else known.get("values", {})) | values_to_json(values),
+        "warnings": warnings,
         "rows": summaries,
         "episodes": plain,
     }
@@ -273,6 +299,7 @@ def _episodes(
     quakes: Sequence[Earthquake],
     repeats: bool,
     told: Callable[[float], None],
+    parameters: Mapping[str, float] | None,
 ) -> Episodes:
     lanes = LANES if repeats else MANY_LANES
     parts = [quakes[i : i + lanes] for i in range(0, len(quakes), lanes)]
@@ -286,7 +313,7 @@ def _episodes(
             def share(part_done: float, done: int = done) -> None:
                 told((done + part_done) / work)
 
-            driven, controller = _controller(each, run, scenario, part)
+            driven, controller = _controller(each, run, scenario, part, parameters)
             record = range(len(part)) if repeats else ()
             metrics, traces = rollout(controller, driven, part, record=record, on_step=share)
             for lane, found in enumerate(metrics):
@@ -300,19 +327,25 @@ def _episodes(
 
 
 def _controller(
-    each: Contestant, run: int, scenario: Scenario, quakes: Sequence[Earthquake]
+    each: Contestant,
+    run: int,
+    scenario: Scenario,
+    quakes: Sequence[Earthquake],
+    parameters: Mapping[str, float] | None,
 ) -> tuple[Scenario, Controller]:
     if each.policies:
         return scenario, each.policies[run]
     if each.name == CLAIRVOYANT:
         return clairvoyant(scenario, quakes)
-    return scenario, named_controller(each.name, scenario, quakes)
+    return scenario, named_controller(each.name, scenario, quakes, parameters)
 
 
-def _latency(each: Contestant, scenario: Scenario) -> float | None:
+def _latency(
+    each: Contestant, scenario: Scenario, parameters: Mapping[str, float] | None
+) -> float | None:
     """Return the median time [s] of one decision; None for what is made for its own earthquakes."""
     if each.policies:
         return decision_time(each.policies[0], scenario)
     if each.name == CLAIRVOYANT or (each.name in BASELINES and BASELINES[each.name].repeats_tests):
         return None
-    return decision_time(named_controller(each.name, scenario), scenario)
+    return decision_time(named_controller(each.name, scenario, None, parameters), scenario)

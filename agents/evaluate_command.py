@@ -12,6 +12,7 @@ from rich.console import Console
 
 from agents.options import ScenarioOptions, given_options
 from agents.progress import progress_bar
+from baselines.tuned_values import read_tuned
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,11 +28,14 @@ class Evaluate:
 
     entries: tyro.conf.Positional[tuple[str, ...]]
     """Names of controllers, policy files, run directories, or folders of run directories (its seeds as
-    one row); NAME=PATH,PATH names a row and puts several paths into it."""
+    one row); NAME=PATH,PATH names a row and puts several paths into it; module:Class or file.py:Class
+    is a controller of one's own."""
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
     earthquakes: int = 200
     """Number of test earthquakes, each with its own specimen where the scenario draws one; `records` has
     its six."""
+    tuned: Path | None = None
+    """File of tuned values that shake tune --keep wrote, for a scenario that nothing was tuned on."""
     fidelity: bool = True
     """Whether response spectrum, drift and energy are compared, too."""
     output: Path | None = None
@@ -41,10 +45,13 @@ class Evaluate:
 
     def run(self, console: Console) -> dict[str, Any]:
         """Evaluate, print, write."""
+        from agents.controller_set import describe_values, require_names
         from agents.evaluate import contestant, evaluate
         from agents.result_tables import markdown, write_result
 
+        require_names(self.entries)
         scenario = self.scenario.build()
+        tuned = None if self.tuned is None else read_tuned(self.tuned)
         with progress_bar() as progress:
             tasks: dict[str, Any] = {}
 
@@ -58,11 +65,15 @@ class Evaluate:
                 [contestant(text, scenario) for text in self.entries],
                 earthquakes=self.earthquakes,
                 repeats=self.fidelity,
+                tuned=tuned,
                 on_progress=on_progress,
             )
         given: dict[str, Any] = json.loads(json.dumps(self.scenario.__dict__))
         result["scenario_options"] = given_options(given)
         console.print(markdown(result), highlight=False, soft_wrap=True)
+        for note in (describe_values(result["values"]), *result["warnings"]):
+            if note:
+                console.print(note, highlight=False, soft_wrap=True)
         file = self.output or (None if self.json else Path("out/evaluate") / f"{scenario.name}.json")
         if file is not None:
             write_result(result, file)

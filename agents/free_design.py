@@ -16,8 +16,9 @@ from baselines.clairvoyant import rescaling
 from baselines.estimator_model import ModelError
 from baselines.lqg import estimated
 from baselines.preview_lqr import PreviewFeedback, preview_lqr
-from baselines.registry import tuned_parameters
+from baselines.registry import parameter_values
 from shake_env.controller import Controller
+from shake_env.errors import ScenarioError, unknown
 from shake_env.parameters import Specimen
 from shake_env.scenario import Scenario
 
@@ -105,12 +106,32 @@ def free_design(scenario: Scenario, **values: float) -> Controller:
     return estimated(believed, make, error, accommodate=values["accommodation"])
 
 
-def found_by_search(scenario: Scenario, name: str = FREE) -> Controller:
-    """Return the free design that `shake tune free` found for the scenario's name, defaults else.
+def found_by_search(
+    scenario: Scenario, name: str = FREE, parameters: Mapping[str, float] | None = None
+) -> Controller:
+    """Return the free design of a search.
 
-    `name` is of `FOUND`: whether the force is weighed as the objective does, or more.
+    Parameters
+    ----------
+    scenario
+        What it drives.
+    name
+        Of `FOUND`: whether the force is weighed as the objective does, or more.
+    parameters
+        What was found, defaults for what is left out; None takes what `shake tune free` found for
+        exactly this scenario, and the defaults else.
+
+    Raises
+    ------
+    ScenarioError
+        If the design has no such parameter on this scenario.
     """
-    values = as_free(scenario, {}, accommodates=True) | tuned_parameters(FREE, scenario.name)
+    values = as_free(scenario, {}, accommodates=True)
+    given = parameter_values(FREE, scenario).parameters if parameters is None else parameters
+    for each in given:
+        if each not in values:
+            raise unknown(ScenarioError, f"parameter of {FREE}", each, values)
+    values |= given
     objective = scenario.objective
     objective = replace(objective, force_weight=FOUND[name] * objective.force_weight)
     return free_design(replace(scenario, objective=objective), **values)

@@ -1,22 +1,29 @@
-"""What a word of the command line stands for: a law by its name, a policy that ships, or a file."""
+"""What a word of the command line stands for: a law, a policy that ships, a file, or an own class."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from agents.free_design import FOUND, found_by_search
+from agents.free_design import FOUND, FREE, found_by_search
+from agents.own_controller import is_own_controller, own_baseline
 from agents.policy_file import load_policy
 from agents.shipped import SHIPPED, shipped_policy
-from baselines.registry import BASELINES, make_baseline
+from baselines.catalogue import BASELINES
+from baselines.registry import ParameterValues, designed, parameter_values
+from baselines.tuned_values import TunedValues
 from shake_env.controller import Controller
 from shake_env.errors import ScenarioError, unknown
 from shake_env.rollout import Earthquake
 from shake_env.scenario import Scenario
+from shake_env.scenario_digest import known_name
 
 
 def named_controller(
-    name: str, scenario: Scenario, earthquakes: Sequence[Earthquake] | None = None
+    name: str,
+    scenario: Scenario,
+    earthquakes: Sequence[Earthquake] | None = None,
+    parameters: Mapping[str, float] | None = None,
 ) -> Controller:
     """Return a controller for a scenario.
 
@@ -24,11 +31,14 @@ def named_controller(
     ----------
     name
         Of `baselines.catalogue`, ``free`` or ``free-force`` (`agents.free_design`), a family of policies
-        that ship (`agents.shipped`), or the path of a policy file or run directory.
+        that ship (`agents.shipped`), ``module:Class`` or ``file.py:Class`` (`agents.own_controller`), or
+        the path of a policy file or run directory.
     scenario
         What it drives.
     earthquakes
         One a lane; needed by controllers that repeat their tests beforehand.
+    parameters
+        Values of its free parameters; None: see `values_for`.
 
     Raises
     ------
@@ -37,20 +47,41 @@ def named_controller(
     PolicyFileError
         If a policy cannot be read or does not fit the scenario.
     """
-    if name in BASELINES:
-        return make_baseline(name, scenario, None, earthquakes)
+    if parameters is None and (values := values_for(name, scenario)) is not None:
+        parameters = values.parameters
     if name in FOUND:
-        return found_by_search(scenario, name)
+        return found_by_search(scenario, name, parameters)
+    if has_parameters(name):
+        baseline = BASELINES[name] if name in BASELINES else own_baseline(name)
+        return designed(name, baseline, scenario, parameters or {}, earthquakes)
     require_controller(name)
-    policy = load_policy(file_of(name, scenario.name))
+    policy = load_policy(file_of(name, known_name(scenario)))
     policy.check(scenario)
     return policy
+
+
+def has_parameters(name: str) -> bool:
+    """Return whether a word names a design with parameters, not a policy."""
+    return name in BASELINES or name in FOUND or is_own_controller(name)
+
+
+def values_for(
+    name: str, scenario: Scenario, tuned: TunedValues | None = None
+) -> ParameterValues | None:
+    """Return the parameter values of a controller's name and their source; None for a policy.
+
+    See `baselines.registry.parameter_values`.
+    """
+    if not has_parameters(name):
+        return None
+    return parameter_values(FREE if name in FOUND else name, scenario, tuned)
 
 
 def require_controller(name: str, *others: str) -> None:
     """Raise ScenarioError where a word is no controller's name, none of the `others` and no path."""
     known = [*BASELINES, *FOUND, *SHIPPED, *others]
-    if name not in known and not (Path(name).exists() or "/" in name or "." in name):
+    path = is_own_controller(name) or Path(name).exists() or "/" in name or "." in name
+    if name not in known and not path:
         raise unknown(ScenarioError, "controller", name, known)
 
 

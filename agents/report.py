@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.compare import CLAIRVOYANT, Comparison, Histories
+from agents.compare import Comparison, Histories
+from agents.controller_set import CLAIRVOYANT
 from agents.fidelity import spectrum
 from agents.named_controller import file_of
 from agents.policy_file import PolicyFile, load_policy
@@ -27,6 +28,7 @@ from agents.verdict import Verdict, verdict
 from shake_env.errors import PolicyFileError
 from shake_env.rollout import Earthquake
 from shake_env.scenario import Scenario
+from shake_env.scenario_digest import known_name
 from shake_env.trajectory import Trajectory
 
 FloatArray = NDArray[np.float64]
@@ -164,7 +166,7 @@ def make_report(
         frontier=lqr_frontier(scenario) if found.group == "filtered noise" else [],
         drawn=Drawn.of(scenario, gathered.earthquakes),
         learning={name: curve for name, curve in learning.items() if len(curve) > 1},
-        policies=policy_files_of(comparison.episodes, scenario.name),
+        policies=policy_files_of(comparison.episodes, known_name(scenario)),
         command=command,
         unlike=unlike,
     )

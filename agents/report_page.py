@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 import shake_env
-from agents.compare import CLAIRVOYANT, GroupSummary
+from agents.compare import GroupSummary
+from agents.controller_set import CLAIRVOYANT
 from agents.figure_style import PLOTLY
 from agents.report import Report
 from agents.report_data import page_data
@@ -208,8 +209,9 @@ def _number(value: float, digits: int) -> str:
 
 
 def _interval(value: float, low: float, high: float) -> str:
-    digits = 3 if high < 1.0 else 2 if high < 10.0 else 1 if high < 1000.0 else 0
-    if low == high:
+    most = high if np.isfinite(high) else value
+    digits = 3 if most < 1.0 else 2 if most < 10.0 else 1 if most < 1000.0 else 0
+    if not low < high:  # one earthquake has none
         return f'{value:.{digits}f}<span class="interval"></span>'
     inside = f"[{low:.{digits}f}, {high:.{digits}f}]"
     return f'{value:.{digits}f}<span class="interval">{inside}</span>'

@@ -17,16 +17,23 @@ import numpy as np
 
 import shake_env
 from agents.code_version import code_version
-from agents.compare import CLAIRVOYANT, named_controllers
+from agents.controller_set import (
+    CLAIRVOYANT,
+    ControllerSet,
+    named_controllers,
+    values_to_json,
+)
 from agents.named_controller import file_of
 from agents.policy_file import PolicyFile, digest
 from agents.shipped import SHIPPED, shipped_policy
 from agents.unlike import QUANTITIES, Change, altered, nominal_value, training_range
+from baselines.tuned_values import TunedValues
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError, ScenarioError, unknown
 from shake_env.metrics import EpisodeMetrics
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
 from shake_env.scenario import Scenario
+from shake_env.scenario_digest import known_name
 
 FORMAT = "shake-robustness-1"
 SEED = 5_000_000  # far from those of training, comparison, tuning and the protocol's test
@@ -105,18 +112,17 @@ def point(scenario: Scenario, values: Mapping[str, float]) -> Change:
 
 
 def default_controllers(scenario: Scenario) -> tuple[str, ...]:
-    """Return the policies that ship for a scenario of this name, and the classical ones beside."""
-    trained = "laboratory" if scenario.name == "records" else scenario.name
-    own = (
-        name for name in SHIPPED if shipped_policy(name, scenario.name).stem.startswith(f"{trained}-")
-    )
-    return (*own, *RIVALS.get(scenario.name, ()))
+    """Return the policies that ship for a scenario, and the classical ones beside."""
+    known = known_name(scenario)
+    trained = "laboratory" if known == "records" else known
+    own = (name for name in SHIPPED if shipped_policy(name, known).stem.startswith(f"{trained}-"))
+    return (*own, *RIVALS.get(known, ()))
 
 
 def controllers_of(
-    names: Sequence[str], scenario: Scenario
-) -> tuple[dict[str, Controller], dict[str, dict[str, Any]], list[str]]:
-    """Return controllers by name, the reference first; whence the learned ones are; what was left out.
+    names: Sequence[str], scenario: Scenario, tuned: TunedValues | None = None
+) -> tuple[ControllerSet, dict[str, dict[str, Any]]]:
+    """Return the controllers, designed on the scenario as it stands, and whence the learned ones are.
 
     Raises
     ------
@@ -127,24 +133,24 @@ def controllers_of(
     """
     if CLAIRVOYANT in names:
         raise ScenarioError("controller", CLAIRVOYANT, "knows what is changed: leave it out")
-    controllers, skipped = named_controllers(names or default_controllers(scenario), scenario)
+    chosen = named_controllers(names or default_controllers(scenario), scenario, tuned=tuned)
     sources = {}
-    for name, controller in controllers.items():
+    for name, controller in chosen.controllers.items():
         if isinstance(controller, PolicyFile):
             config = controller.card.get("config", {})
             sources[name] = {
                 "algorithm": config.get("algorithm"),
                 "seed": config.get("seed"),
-                "sha256": digest(file_of(name, scenario.name)),
+                "sha256": digest(file_of(name, known_name(scenario))),
             }
-    return controllers, sources, skipped
+    return chosen, sources
 
 
 def test_earthquakes(scenario: Scenario, number: int, seed: int) -> list[Earthquake]:
     """Return the recorded motions of a scenario of records, and filtered noise of any other."""
     if number < 1:
         raise ParameterError("earthquakes", number, "ask for at least 1")
-    if scenario.name == "records":
+    if known_name(scenario) == "records":
         return recorded_earthquakes(scenario)
     return noise_earthquakes(scenario, number, seed)
 
@@ -156,6 +162,7 @@ def robustness(
     grid: Grid | None = None,
     earthquakes: int = 8,
     seed: int = SEED,
+    tuned: TunedValues | None = None,
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
 ) -> dict[str, Any]:
     """Return costs and failures of every controller under every change, as plain JSON values.
@@ -165,14 +172,17 @@ def robustness(
     scenario
         What controllers are made for.
     names
-        As `compare.named_controllers` takes them; none: `default_controllers`. The reference is run in
-        any case.
+        As `controller_set.named_controllers` takes them; none: `default_controllers`. The reference is
+        run in any case.
     grid
         What is changed; None: everything, see `Grid.of`.
     earthquakes
         Number of filtered-noise earthquakes, the same under every change and for every controller.
     seed
         Of the first of them.
+    tuned
+        Tuned values of a file that was named. They, and those that come with the package, are looked up
+        for the scenario as it stands: what is changed in it, no controller knows.
     on_progress
         Told the controller that runs and its share done, 0 to 1.
 
@@ -185,7 +195,8 @@ def robustness(
     """
     grid, code = Grid.of(scenario) if grid is None else grid, code_version()  # that runs, not that ends
     quakes = test_earthquakes(scenario, earthquakes, seed)
-    controllers, sources, skipped = controllers_of(names, scenario)
+    chosen, sources = controllers_of(names, scenario, tuned)
+    controllers = chosen.controllers
     reference = next(iter(controllers))
     changes = grid.changes(scenario)
     episodes = {}
@@ -203,10 +214,12 @@ def robustness(
         "version": shake_env.__version__,
         "code": code,
         "machine": f"{platform.machine()}, {os.cpu_count()} cores",
-        "seed": None if scenario.name == "records" else seed,
+        "seed": None if known_name(scenario) == "records" else seed,
         "earthquakes": [quake.name for quake in quakes],
         "reference": reference,
-        "skipped": skipped,
+        "skipped": chosen.skipped,
+        "warnings": chosen.warnings,
+        "values": values_to_json(chosen.values),
         "controllers": [{"name": n, "source": sources.get(n)} for n in controllers],
         "quantities": [_quantity(scenario, name, values) for name, values in grid.sweeps.items()],
         "maps": [

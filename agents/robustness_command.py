@@ -13,6 +13,7 @@ from rich.console import Console
 
 from agents.options import ScenarioOptions, given_options
 from agents.progress import progress_bar
+from baselines.tuned_values import read_tuned
 from shake_env.errors import ParameterError
 
 # What docs/robustness.md shows.
@@ -36,9 +37,12 @@ class Robustness:
     """
 
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
-    controllers: tuple[str, ...] = ()
+    controllers: tuple[str, ...] | None = None
     """Names as shake compare takes them, or paths of policies (default: the policies that ship for the
     scenario, its reference and the best of its classical controllers)."""
+    tuned: Path | None = None
+    """File of tuned values that shake tune --keep wrote. They belong to the scenario as it stands, which
+    every controller is designed on, not to what is changed in it."""
     quantities: tuple[str, ...] = ()
     """What is changed: mass_ratio, storey_frequency, damping_ratio, coulomb_friction, delay, noise,
     amplitude (default: all)."""
@@ -63,12 +67,18 @@ class Robustness:
         """Run, print, write."""
         if self.all:
             return self._renew(console)
+        from agents.controller_set import describe_values, require_names
         from agents.robustness_figure import draw_robustness
         from agents.robustness_output import PREFIX, section, write_robustness
 
+        if self.controllers is not None:
+            require_names(self.controllers)
         scenario = self.scenario.build()
         result = _measure(self, self.scenario)
         console.print(section(result), highlight=False, soft_wrap=True)
+        for note in (describe_values(result["values"]), *result["warnings"]):
+            if note:
+                console.print(note, highlight=False, soft_wrap=True)
         for reason in result["skipped"]:
             console.print(f"left out: {reason}")
         folder = self.output or (None if self.json else Path("out/robustness"))
@@ -85,7 +95,7 @@ class Robustness:
         from agents.robustness_output import PREFIX, read_robustness, section, write_robustness
 
         usual = type(self)()
-        for name in ("scenario", "controllers", "quantities", "output"):
+        for name in ("scenario", "controllers", "quantities", "output", "tuned"):
             if getattr(self, name) != getattr(usual, name):
                 raise ParameterError(
                     name, getattr(self, name), "contradicts --all: leave one of them out"
@@ -125,7 +135,8 @@ def _measure(command: Robustness, options: ScenarioOptions) -> dict[str, Any]:
 
         result = robustness(
             scenario,
-            command.controllers,
+            command.controllers or (),
+            tuned=None if command.tuned is None else read_tuned(command.tuned),
             grid=Grid.of(scenario, command.quantities, command.maps),
             earthquakes=command.earthquakes,
             seed=command.seed,
@@ -142,7 +153,7 @@ def _holds(known: dict[str, Any], command: Robustness, options: ScenarioOptions)
         return False
     nothing = Grid(sweeps={}, maps=(), coarse={})
     today = robustness(
-        options.build(), command.controllers, grid=nothing, earthquakes=command.earthquakes,
+        options.build(), command.controllers or (), grid=nothing, earthquakes=command.earthquakes,
         seed=command.seed,
     )  # fmt: skip
     now, before = (result["points"][0]["cost"] for result in (today, known))
@@ -155,14 +166,15 @@ def _identity(command: Robustness, options: ScenarioOptions) -> dict[str, Any]:
     from agents.robustness import Grid, controllers_of
 
     scenario = options.build()
-    controllers, sources, _ = controllers_of(command.controllers, scenario)
+    tuned = None if command.tuned is None else read_tuned(command.tuned)
+    chosen, sources = controllers_of(command.controllers or (), scenario, tuned)
     grid = Grid.of(scenario, command.quantities, command.maps)
     given = given_options(options.__dict__)
     identity: dict[str, Any] = json.loads(
         json.dumps(
             {
                 "scenario": given,
-                "controllers": list(controllers),
+                "controllers": list(chosen.controllers),
                 "policies": {name: source["sha256"] for name, source in sources.items()},
                 "earthquakes": command.earthquakes,
                 "seed": command.seed,

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 import shake_env
 from agents.artificial import artificial_motions
-from agents.base_law import base_law
+from agents.base_law import at_own_cost, base_law
 from agents.checkpoint import checkpoints, load_checkpoint, save_checkpoint
 from agents.code_version import code_version
 from agents.config import TrainConfig, read_config
@@ -182,7 +182,7 @@ def training_tables(config: TrainConfig, scenario: Scenario) -> ShakeTableVecEnv
     return ShakeTableVecEnv(
         training_scenario(config, scenario),
         chosen.tables,
-        base=base_law(chosen.base, scenario),
+        base=base_law(chosen.base, scenario, at_own_cost(scenario, config.scenario.scenario)),
         authority=chosen.authority,
         reward_scale=reward_scale(scenario, config.discount(scenario.control_period)),
     )

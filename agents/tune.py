@@ -6,7 +6,6 @@ in SQLite: a search that was interrupted goes on where it stopped. The first tri
 
 from __future__ import annotations
 
-import json
 import math
 import zlib
 from collections.abc import Callable, Mapping, Sequence
@@ -18,12 +17,15 @@ import numpy as np
 
 import shake_env
 from agents.free_design import FREE, as_free, free_baseline
+from agents.own_controller import is_own_controller, own_baseline, own_source
 from baselines.catalogue import BASELINES, Baseline, Tunable
-from baselines.registry import tuned_parameters
+from baselines.registry import parameter_values
+from baselines.tuned_values import TunedEntry, TunedValues, read_tuned, write_tuned
 from shake_env.controller import Controller
 from shake_env.errors import NumericalError, ParameterError, ScenarioError, ShakeError, unknown
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario import Scenario
+from shake_env.scenario_digest import scenario_digest
 
 VALIDATION_SEED = 3_000_000  # neither training's, nor its evaluation's, nor the tests'
 FAILED = 1e6  # cost of a trial whose design fails
@@ -34,7 +36,8 @@ class Tuning:
     """What a search came to."""
 
     controller: str
-    scenario: str
+    scenario: str  # its name, for a reader
+    digest: str  # what the values belong to, see `shake_env.scenario_digest`
     parameters: dict[str, float]
     cost: float  # mean stage cost on the validation earthquakes
     default_cost: float
@@ -56,6 +59,7 @@ def tune(
     budget: int = 4_000_000,
     earthquakes: int = 16,
     seed: int = 0,
+    tuned: TunedValues | None = None,
     on_trial: Callable[[int, int, float], None] = lambda done, total, best: None,
 ) -> Tuning:
     """Search, or go on with a search.
@@ -63,7 +67,7 @@ def tune(
     Parameters
     ----------
     name
-        Of `baselines.registry.BASELINES`.
+        Of `baselines.registry.BASELINES`, ``free``, or a controller of one's own.
     scenario
         Its motion is that of the validation earthquakes.
     storage
@@ -75,6 +79,8 @@ def tune(
         Validation earthquakes of a trial.
     seed
         Of the search.
+    tuned
+        Values that were found before; the search of the free design begins at them, too.
     on_trial
         Told the trials done, those in all, and the best cost, after each.
 
@@ -94,7 +100,7 @@ def tune(
     steps *= candidate.tests
     total = trials_of(budget, steps)
     quakes = [motions] if candidate.repeats_tests else []
-    starts = [{each: t.default for each, t in tunable.items()}, *starting_points(name, scenario)]
+    starts = [{each: t.default for each, t in tunable.items()}, *starting_points(name, scenario, tuned)]
     if not quakes:
         candidate.make(scenario, **starts[0])  # says at once if the scenario does not suit it
 
@@ -102,17 +108,18 @@ def tune(
         return mean_cost(lambda: candidate.make(scenario, *quakes, **values), scenario, motions)
 
     # Another scenario of that name, or other ranges, are another search.
-    identity = zlib.crc32(repr((scenario, tunable)).encode())
+    parts = (scenario, tunable, own_source(name)) if is_own_controller(name) else (scenario, tunable)
+    identity = zlib.crc32(repr(parts).encode())
     study = f"{scenario.name}/{name}/{seed}/{earthquakes}/{identity:08x}"
     found = search(cost, tunable, storage, study, total, seed, on_trial, starts)
     return Tuning(
-        name, scenario.name, found.parameters, found.cost, found.default_cost,
-        found.trials, found.trials * steps, earthquakes, seed,
+        name, scenario.name, scenario_digest(scenario), found.parameters, found.cost,
+        found.default_cost, found.trials, found.trials * steps, earthquakes, seed,
     )  # fmt: skip
 
 
 def searched(name: str, scenario: Scenario) -> Baseline:
-    """Return the controller called `name`, of the catalogue or the free design, on a scenario.
+    """Return the controller called `name`, of the catalogue, the free design or one's own.
 
     Raises
     ------
@@ -121,20 +128,26 @@ def searched(name: str, scenario: Scenario) -> Baseline:
     """
     if name == FREE:
         return free_baseline(scenario)
+    if is_own_controller(name):
+        return own_baseline(name)
     if name not in BASELINES:
         raise unknown(ScenarioError, "controller", name, [*BASELINES, FREE])
     return BASELINES[name]
 
 
-def starting_points(name: str, scenario: Scenario) -> list[dict[str, float]]:
+def starting_points(
+    name: str, scenario: Scenario, tuned: TunedValues | None = None
+) -> list[dict[str, float]]:
     """Return what is tried after the defaults: for the free design what others were tuned to."""
     if name != FREE:
         return []
     points = []
+    tuned = None if tuned is None else tuned.of_scenario(scenario_digest(scenario))
     for other in ("preview-lqr", "lqg", "lqg-accommodating"):
-        tuned = tuned_parameters(other, scenario.name)
-        if tuned:
-            points.append(as_free(scenario, tuned, accommodates=other == "lqg-accommodating"))
+        values = parameter_values(other, scenario, tuned)
+        if values.source != "rule":
+            accommodates = other == "lqg-accommodating"
+            points.append(as_free(scenario, values.parameters, accommodates=accommodates))
     return points
 
 
@@ -224,10 +237,25 @@ def _finished(study: Any) -> int:
 
 
 def keep(tuning: Tuning, file: Path) -> None:
-    """Put a result among those that `baselines.registry` reads."""
-    known = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
-    known.setdefault(tuning.scenario, {})[tuning.controller] = tuning.to_json()
-    text = json.dumps(known, indent=1, sort_keys=True) + "\n"
-    partial = file.with_suffix(".partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(file)
+    """Put a result into a file of tuned values, in place of one for the same controller and scenario.
+
+    Raises
+    ------
+    ParameterError
+        If the file is there and is no file of tuned values.
+    """
+    known = kept_values(file) or TunedValues(str(file))
+    search = tuning.to_json()
+    entry = TunedEntry(
+        controller=search.pop("controller"),
+        digest=search.pop("digest"),
+        scenario=search.pop("scenario"),
+        parameters=search.pop("parameters"),
+        search=search,
+    )
+    write_tuned(known.with_entry(entry), file)
+
+
+def kept_values(file: Path | None) -> TunedValues | None:
+    """Return the values of a file that results are put into; None where there is no such file yet."""
+    return read_tuned(file) if file is not None and file.exists() else None

@@ -12,7 +12,6 @@ from rich.console import Console
 from agents.options import ScenarioOptions
 from agents.progress import progress_bar
 from baselines.catalogue import BASELINES
-from shake_env import make_scenario
 from shake_env.errors import NumericalError, ParameterError, ScenarioError
 from shake_env.scenario import Scenario
 
@@ -26,11 +25,14 @@ class Tune:
     Try:
       shake tune lqg --scenario laboratory
       shake tune pid --scenario laboratory --budget 1000000
-      shake tune all --scenario yielding --keep baselines/tuned.json
+      shake tune lqg --scenario laboratory --set actuator.table_mass=420 --keep mytable.json
+      shake compare --scenario laboratory --set actuator.table_mass=420 --tuned mytable.json
+      shake tune controllers.py:MyController --keep mine.json
     """
 
     controller: tyro.conf.Positional[str]
-    """Name of the controller, or all: every one that has something to tune and suits the scenario."""
+    """Name of the controller, module:Class or file.py:Class for one of one's own, or all: every one that
+    has something to tune and suits the scenario."""
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
     budget: int = 4_000_000
     """Control periods to simulate in all; what a policy is trained with by default."""
@@ -41,19 +43,17 @@ class Tune:
     storage: Path = Path("runs/tune.db")
     """SQLite file with the trace of every search; a search in it is gone on with."""
     keep: Path | None = None
-    """JSON file to put the result in; baselines/tuned.json is what `shake compare` takes."""
+    """JSON file to put the result in; compare, bench, evaluate and robustness take it by --tuned. The
+    result belongs to this very scenario, told by a digest of all that it is but its name."""
     json: bool = False
     """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Search with a progress bar, and print what was found."""
         scenario = self.scenario.build()
-        if self.keep is not None and scenario != make_scenario(scenario.name):
-            raise ParameterError(
-                "keep",
-                str(self.keep),
-                f"holds what suits {scenario.name} as it stands, not as changed here",
-            )
+        from agents.tune import kept_values
+
+        kept_values(self.keep)  # says before the search if it is another kind of file
         if self.controller != ALL:
             return self._tune(self.controller, scenario, console)
         found = {}
@@ -66,7 +66,7 @@ class Tune:
         return found
 
     def _tune(self, name: str, scenario: Scenario, console: Console) -> dict[str, Any]:
-        from agents.tune import keep, tune
+        from agents.tune import keep, kept_values, tune
 
         with progress_bar() as progress:
             task = progress.add_task(f"tuning {name}", total=None)
@@ -82,6 +82,7 @@ class Tune:
                 budget=self.budget,
                 earthquakes=self.earthquakes,
                 seed=self.seed,
+                tuned=kept_values(self.keep),
                 on_trial=on_trial,
             )
         console.print(

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from agents.compare import CLAIRVOYANT, Comparison, GroupSummary, cost_ratio
+from agents.compare import Comparison, GroupSummary, cost_ratio
+from agents.controller_set import CLAIRVOYANT
 from shake_env.scenario import Scenario
 
 NEAR = 0.9  # share of a limit from which on it counts as what limits a test
@@ -85,10 +86,10 @@ def _wins(
         sure = f"{interval}, which contains zero: chance alone could explain it"
     versus = ""
     if comparison.reference not in (best.controller, second.controller):
+        range_of_cost = f" ({best.relative_cost_low:.3f} to {best.relative_cost_high:.3f})"
         versus = (
             f", and costs {best.relative_cost:.3f} of what the reference "
-            f"{label(comparison.reference)} does ({best.relative_cost_low:.3f} to "
-            f"{best.relative_cost_high:.3f})"
+            f"{label(comparison.reference)} does{range_of_cost if best.earthquakes > 1 else ''}"
         )
     return f"{where} {name} wins: it costs {gap} less than {label(second.controller)} ({sure}){versus}."
 

@@ -1,22 +1,88 @@
-"""Classical controllers by name, with the values that were tuned for a scenario.
+"""Classical controllers by name, and where the values of their free parameters come from.
 
-Values that `shake tune` has found for a named scenario stand in ``tuned.json`` and are taken unless
-others are given.
+Values that `shake tune` has found belong to the scenario that they were tuned on, told by a digest of
+all that it is but its name. A scenario for which nothing was tuned gets the controller's written rule,
+or the values of a file that is named.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
-from importlib import resources
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
-from baselines.catalogue import BASELINES
+from baselines.catalogue import BASELINES, Baseline
+from baselines.tuned_values import TunedEntry, TunedValues, packaged_values
 from shake_env.controller import Controller
 from shake_env.errors import ScenarioError, unknown
+from shake_env.motion import MotionSet
 from shake_env.rollout import Earthquake
 from shake_env.scenario import Scenario
+from shake_env.scenario_digest import named_digest, scenario_digest
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterValues:
+    """Values of a controller's free parameters, and where they come from."""
+
+    parameters: Mapping[str, float]  # those that are not the written rule's
+    source: Literal["tuned", "file", "rule"]  # with the package; of a file that was named; neither
+    description: str  # the source in words
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the values and their source as plain JSON values."""
+        return {**vars(self), "parameters": dict(self.parameters)}
+
+
+WRITTEN_RULE = ParameterValues(parameters={}, source="rule", description="written rule")
+
+
+def parameter_values(name: str, scenario: Scenario, tuned: TunedValues | None = None) -> ParameterValues:
+    """Return the values that a controller gets on a scenario.
+
+    In this order: those of `tuned` for exactly this scenario; those that come with the package for
+    exactly this scenario; those of `tuned` for another scenario; the written rule.
+
+    Parameters
+    ----------
+    name
+        Of the controller.
+    scenario
+        What it is designed for; its name does not count.
+    tuned
+        Values of a file that was named; None: there is none.
+
+    Raises
+    ------
+    ParameterError
+        If only the third applies, and the file holds values for several other scenarios.
+    """
+    digest = scenario_digest(scenario)
+    if tuned is not None and (entry := tuned.exact(name, digest)):
+        return _of_file(entry, tuned, "this scenario")
+    if entry := packaged_values().exact(name, digest):
+        return _of_package(entry, "tuned on this scenario")
+    # Nothing is tuned on the records that controllers are judged by: the same table's values serve.
+    records = isinstance(scenario.motion, MotionSet) and digest == named_digest("records")
+    if records and (entry := packaged_values().exact(name, named_digest("laboratory"))):
+        return _of_package(entry, "tuned on laboratory, the same table")
+    if tuned is not None and (entry := tuned.only(name)):
+        return _of_file(entry, tuned, f"{entry.scenario}, not this scenario")
+    return WRITTEN_RULE
+
+
+def _of_package(entry: TunedEntry, description: str) -> ParameterValues:
+    return ParameterValues(parameters=entry.parameters, source="tuned", description=description)
+
+
+def _of_file(entry: TunedEntry, tuned: TunedValues, where: str) -> ParameterValues:
+    description = f"{tuned.source}, tuned on {where}"
+    return ParameterValues(parameters=entry.parameters, source="file", description=description)
+
+
+def tuned_parameters(name: str, scenario: Scenario) -> dict[str, float]:
+    """Return what comes with the package for a controller on exactly this scenario; {}: nothing."""
+    return dict(parameter_values(name, scenario).parameters)
 
 
 def make_baseline(
@@ -34,7 +100,8 @@ def make_baseline(
     scenario
         What it is to drive.
     parameters
-        Its tunable parameters; None takes what was tuned for the scenario's name, and defaults else.
+        Its free parameters, the written rule for those that are left out; None takes what was tuned for
+        exactly this scenario (`parameter_values`), and the written rule else.
     earthquakes
         One a lane of the roll-out; needed by a controller that repeats its tests beforehand.
 
@@ -46,37 +113,27 @@ def make_baseline(
     """
     if name not in BASELINES:
         raise unknown(ScenarioError, "controller", name, BASELINES)
-    baseline = BASELINES[name]
-    chosen = tuned_parameters(name, scenario.name) if parameters is None else dict(parameters)
-    for each in chosen:
+    chosen = parameter_values(name, scenario).parameters if parameters is None else parameters
+    return designed(name, BASELINES[name], scenario, chosen, earthquakes)
+
+
+def designed(
+    name: str,
+    baseline: Baseline,
+    scenario: Scenario,
+    parameters: Mapping[str, float],
+    earthquakes: Sequence[Earthquake] | None = None,
+) -> Controller:
+    """Return a controller of a catalogue's entry; see `make_baseline`."""
+    for each in parameters:
         if each not in baseline.tunable:
             raise unknown(ScenarioError, f"parameter of {name}", each, baseline.tunable)
-    values = {each: tunable.default for each, tunable in baseline.tunable.items()} | chosen
+    values = {each: tunable.default for each, tunable in baseline.tunable.items()} | dict(parameters)
     if not baseline.repeats_tests:
         return baseline.make(scenario, **values)
     if earthquakes is None:
         raise ScenarioError("controller", name, "repeats its tests beforehand: use shake compare")
     return baseline.make(scenario, earthquakes, **values)
-
-
-def tuned_parameters(name: str, scenario_name: str) -> dict[str, float]:
-    """Return the tuned parameters of a controller for a named scenario; none where nothing was tuned.
-
-    What was tuned for `laboratory` holds for `records`, whose table is the same: nothing is tuned on the
-    records that controllers are judged by.
-    """
-    source = "laboratory" if scenario_name == "records" else scenario_name
-    found = _tuned().get(source, {}).get(name, {}).get("parameters", {})
-    return {each: float(value) for each, value in found.items()}
-
-
-@lru_cache(maxsize=1)
-def _tuned() -> dict[str, Any]:
-    file = resources.files("baselines") / "tuned.json"
-    if not file.is_file():
-        return {}
-    found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return found
 
 
 def reference_name(scenario: Scenario) -> str:

@@ -127,7 +127,7 @@ def controllers() -> str:
         places = ", ".join(s for s, scenario in built.items() if suits(name, scenario))
         rows.append((f"`{name}`", baseline.summary, places))
         for each, t in baseline.tunable.items():
-            found = {s: tuned_parameters(name, s).get(each) for s in DESIGNABLE}
+            found = {s: tuned_parameters(name, built[s]).get(each) for s in DESIGNABLE}
             values = ", ".join(f"{s} {value:.4g}" for s, value in found.items() if value is not None)
             kind = "logarithmic" if t.logarithmic else "linear"
             tuned.append(
@@ -142,7 +142,8 @@ def controllers() -> str:
         "`records` has the laboratory's table, and takes what suits `laboratory`.\n",
         "## Free parameters\n",
         "What `shake tune` searches, and what it found for each scenario (`baselines/tuned.json`). "
-        "Where nothing was tuned the default holds.\n",
+        "Where nothing was tuned, as on a scenario that is changed, the default holds, or the values of "
+        "`--tuned FILE`.\n",
         table(("controller", "parameter", "range", "default", "tuned"), tuned),
     ])  # fmt: skip
 

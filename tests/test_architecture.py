@@ -26,7 +26,7 @@ LAYERS = [
     {"excitation"},
     {"scenario"},
     {"named", "braking"},
-    {"overrides", "supervisor"},
+    {"overrides", "scenario_digest", "supervisor"},
     {"transition"},
     {"fleet", "packing"},
     {"fused"},

@@ -74,14 +74,15 @@ def test_the_reference_always_suits():
 
 def test_nothing_is_tuned_on_the_records():
     for name in BASELINES:
-        assert tuned_parameters(name, "records") == tuned_parameters(name, "laboratory")
+        records, laboratory = make_scenario("records"), make_scenario("laboratory")
+        assert tuned_parameters(name, records) == tuned_parameters(name, laboratory)
 
 
 def test_no_tuned_value_is_at_an_end_that_the_range_alone_sets():
     """A search that comes to such an end would have gone further: its controller is not the best."""
     for scenario in SCENARIO_NAMES:
         for name, baseline in BASELINES.items():
-            for each, value in tuned_parameters(name, scenario).items():
+            for each, value in tuned_parameters(name, make_scenario(scenario)).items():
                 tunable = baseline.tunable[each]
                 low, high, at = tunable.low, tunable.high, value
                 if tunable.logarithmic:
@@ -103,7 +104,7 @@ def test_bench_writes_results_and_renews_a_page(tmp_path, capsys, monkeypatch):
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- bench yielding -->\nold\n<!-- end yielding -->\nafter\n")
     kept = {name: BASELINES[name] for name in ("none", "preview-lqr", "pid")}
-    monkeypatch.setattr("agents.compare.BASELINES", kept)
+    monkeypatch.setattr("agents.controller_set.BASELINES", kept)
     arguments = ["bench", "--scenarios", "yielding", "--earthquakes", "2"]
     assert main([*arguments, "--results", str(tmp_path), "--page", str(page)]) == 0
     text = page.read_text()

@@ -78,7 +78,7 @@ def test_the_search_starts_from_what_others_were_tuned_to():
     scenario = make_scenario("laboratory")
     points = starting_points(FREE, scenario)
     assert starting_points("lqg", scenario) == []
-    tuned = tuned_parameters("lqg-accommodating", "laboratory")
+    tuned = tuned_parameters("lqg-accommodating", scenario)
     assert points[-1]["position"] == tuned["position"] and points[-1]["accommodation"] == 1.0
 
 

@@ -32,6 +32,12 @@ def test_a_scenario_gets_the_policy_that_ships_for_it():
     assert file_of("analytic", "records").name == "laboratory-analytic.safetensors"
 
 
+def test_a_renamed_scenario_gets_the_same_policy():
+    renamed = make_scenario("laboratory", {"fields": {"name": "mytable"}})
+    same = named_controller("analytic", make_scenario("laboratory")).card
+    assert named_controller("analytic", renamed).card == same
+
+
 def test_what_is_no_controller_is_refused():
     scenario = make_scenario("linear")
     with pytest.raises(ScenarioError, match=r"anlytic.*analytic"):

@@ -218,8 +218,10 @@ def test_who_is_compared_unless_told_otherwise():
     for name, rivals in RIVALS.items():
         assert set(default_controllers(make_scenario(name))) >= set(rivals)
     assert "analytic" in default_controllers(make_scenario("laboratory"))
-    controllers, sources, _ = controllers_of((), make_scenario("linear"))
-    assert next(iter(controllers)) == "lqr"
+    chosen, sources = controllers_of((), make_scenario("linear"))
+    assert next(iter(chosen.controllers)) == "lqr"
+    renamed = make_scenario("laboratory", {"fields": {"name": "mytable"}})
+    assert default_controllers(renamed) == default_controllers(make_scenario("laboratory"))
     assert "lqr" not in sources
     assert len(sources["analytic"]["sha256"]) == 64
 

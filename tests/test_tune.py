@@ -11,6 +11,7 @@ from baselines import registry
 from baselines.catalogue import BASELINES, Baseline, Tunable
 from baselines.lqr import LinearFeedback, sampled_lqr
 from baselines.registry import make_baseline
+from baselines.tuned_values import read_tuned
 from shake_env import make_scenario
 from shake_env.errors import NumericalError, ParameterError, ScenarioError
 
@@ -55,7 +56,7 @@ def test_kept_results_are_what_the_registry_takes(bench, tmp_path, monkeypatch):
     file = tmp_path / "tuned.json"
     found = tune("scaled", SHORT, tmp_path / "t.db", budget=3 * 800, earthquakes=8)
     keep(found, file)
-    monkeypatch.setattr(registry, "_tuned", lambda: json.loads(file.read_text()))
+    monkeypatch.setattr(registry, "packaged_values", lambda: read_tuned(file))
     row = make_baseline("scaled", SHORT)._row
     expected = scaled_lqr(SHORT, **found.parameters)._row
     np.testing.assert_array_equal(row, expected)

@@ -1,0 +1,140 @@
+"""Files of tuned parameter values; an entry belongs to the scenario that it was tuned on, by digest."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from shake_env.errors import ParameterError
+from shake_env.parameters import is_number
+
+FORMAT = "shake-tuned-1"
+_REMEDY = "is no file of tuned values: shake tune CONTROLLER --keep FILE writes one"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TunedEntry:
+    """What a search found for one controller on one scenario."""
+
+    controller: str
+    digest: str  # of the scenario, see `shake_env.scenario_digest`
+    scenario: str  # its name then, for a reader; it decides nothing
+    parameters: Mapping[str, float]
+    search: Mapping[str, Any] = field(default_factory=dict)  # budget, costs, seed, version
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the entry as plain JSON values."""
+        return {**vars(self), "parameters": dict(self.parameters), "search": dict(self.search)}
+
+
+@dataclass(frozen=True)
+class TunedValues:
+    """The entries of a file."""
+
+    source: str  # its path, for a reader
+    entries: tuple[TunedEntry, ...] = ()
+
+    def exact(self, controller: str, digest: str) -> TunedEntry | None:
+        """Return the entry that was tuned on the scenario with this digest, if there is one."""
+        suit = (e for e in self.entries if (e.controller, e.digest) == (controller, digest))
+        return next(suit, None)
+
+    def of_scenario(self, digest: str) -> TunedValues:
+        """Return the entries that were tuned on the scenario with this digest."""
+        return TunedValues(self.source, tuple(e for e in self.entries if e.digest == digest))
+
+    def only(self, controller: str) -> TunedEntry | None:
+        """Return the controller's one entry, whatever it was tuned on; None: there is none.
+
+        Raises
+        ------
+        ParameterError
+            If there are several, of which none is the one to take.
+        """
+        of_controller = [entry for entry in self.entries if entry.controller == controller]
+        if len(of_controller) > 1:
+            names = ", ".join(entry.scenario for entry in of_controller)
+            raise ParameterError(
+                "tuned",
+                self.source,
+                f"holds values of {controller} for several scenarios ({names}), none of them this one: "
+                "tune on this one, or give a file with one of them",
+            )
+        return of_controller[0] if of_controller else None
+
+    def with_entry(self, entry: TunedEntry) -> TunedValues:
+        """Return the values with an entry added, in place of the one for the same scenario."""
+        key = (entry.controller, entry.digest)
+        others = [e for e in self.entries if (e.controller, e.digest) != key]
+        ordered = sorted([*others, entry], key=lambda e: (e.scenario, e.controller, e.digest))
+        return TunedValues(self.source, tuple(ordered))
+
+
+def read_tuned(file: str | os.PathLike[str]) -> TunedValues:
+    """Read a file of tuned values.
+
+    Raises
+    ------
+    ParameterError
+        If it cannot be read, or is no such file.
+    """
+    try:
+        text = Path(file).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ParameterError("tuned", str(file), f"cannot be read ({error}): {_REMEDY}") from error
+    return parse_tuned(text, str(file))
+
+
+def parse_tuned(text: str, source: str) -> TunedValues:
+    """Return the tuned values that a file's text holds; see `read_tuned`."""
+    try:
+        plain = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise ParameterError("tuned", source, f"is no JSON ({error}): {_REMEDY}") from error
+    entries = plain.get("entries") if isinstance(plain, dict) else None
+    if not isinstance(entries, list) or plain.get("format") != FORMAT:
+        raise ParameterError("tuned", source, f"has no format {FORMAT!r} with entries: {_REMEDY}")
+    return TunedValues(source, tuple(_entry(e, number, source) for number, e in enumerate(entries)))
+
+
+def _entry(plain: Any, number: int, source: str) -> TunedEntry:
+    names = ("controller", "digest", "scenario")
+    if not isinstance(plain, dict) or not all(isinstance(plain.get(name), str) for name in names):
+        raise ParameterError("tuned", source, f"entry {number} lacks one of {', '.join(names)}")
+    parameters, search = plain.get("parameters"), plain.get("search", {})
+    if (
+        not isinstance(parameters, dict)
+        or not isinstance(search, dict)
+        or not all(is_number(v) and math.isfinite(v) for v in parameters.values())
+    ):
+        raise ParameterError("tuned", source, f"entry {number}: parameters must be finite numbers")
+    return TunedEntry(
+        controller=plain["controller"],
+        digest=plain["digest"],
+        scenario=plain["scenario"],
+        parameters={name: float(value) for name, value in parameters.items()},
+        search=search,
+    )
+
+
+def write_tuned(values: TunedValues, file: Path) -> None:
+    """Write a file of tuned values; a reader never sees half of it."""
+    plain = {"format": FORMAT, "entries": [entry.to_json() for entry in values.entries]}
+    file.parent.mkdir(parents=True, exist_ok=True)
+    partial = file.with_suffix(".partial")
+    partial.write_text(json.dumps(plain, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    partial.replace(file)
+
+
+@lru_cache(maxsize=1)
+def packaged_values() -> TunedValues:
+    """Return the values that come with the package."""
+    file = resources.files("baselines") / "tuned.json"
+    return parse_tuned(file.read_text(encoding="utf-8"), "baselines/tuned.json")
