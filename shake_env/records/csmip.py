@@ -49,6 +49,11 @@ def csmip_volume(data: bytes) -> int | None:
     return 2 if first.startswith(b"corrected accelerogram") else None
 
 
+def is_csmip(data: bytes) -> bool:
+    """Return whether a file's first line is this format's."""
+    return csmip_volume(data) is not None
+
+
 @dataclass(frozen=True)
 class _Block:
     kind: str  # accel, veloc or displ

@@ -49,7 +49,7 @@ def parse_record(name: str, text: str | bytes) -> Record:
         number, or the count differs from the header's. The message names line and value.
     """
     data = text.encode("utf-8", "replace") if isinstance(text, str) else text
-    return parse_embedded(name, data, known_units=("g",))
+    return parse_embedded(name, data, known_units=("g",))[0]
 
 
 def parse_embedded(
@@ -59,7 +59,7 @@ def parse_embedded(
     units: Unit | None = None,
     sampling_interval: float | None = None,
     known_units: tuple[str, ...] = ("g", "m/s^2"),
-) -> Record:
+) -> tuple[Record, ...]:
     """Read a record in any of `known_units`; those a caller gives must be the file's own.
 
     Raises
@@ -92,7 +92,7 @@ def parse_embedded(
         raise source.error(
             title + 1 + int(np.argmin(np.isfinite(acceleration))), "is not a finite acceleration"
         )
-    return Record(name, acceleration, step, tuple(header.items()))
+    return (Record(name, acceleration, step, tuple(header.items())),)
 
 
 def _header(source: SourceText) -> tuple[dict[str, str], int]:

@@ -3,23 +3,51 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from shake_env.errors import ParameterError, RecordError
 from shake_env.parameters import is_number
 from shake_env.records.columns import parse_columns
-from shake_env.records.csmip import csmip_volume, parse_csmip
+from shake_env.records.csmip import is_csmip, parse_csmip
 from shake_env.records.embedded import is_embedded, parse_embedded
 from shake_env.records.knet import is_knet, parse_knet
 from shake_env.records.peer import is_peer, parse_peer
 from shake_env.records.record import Record
-from shake_env.records.units import unit_asked
+from shake_env.records.units import Unit, unit_asked
 from shake_env.records.waveform import is_waveform, parse_waveform
 
 _SUFFIXES = (".csv", ".txt", ".dat", ".at2", ".v1", ".v2", ".raw", ".mseed", ".sac")
+
+
+class Parser(Protocol):
+    """Read a whole file of one format: one record a channel, or RecordError."""
+
+    def __call__(
+        self, name: str, data: bytes, *, units: Unit | None = None, sampling_interval: float | None = None
+    ) -> tuple[Record, ...]: ...
+
+
+class Reader(NamedTuple):
+    """One format: its name, whether a file's content is of it, and how it is read."""
+
+    name: str
+    matches: Callable[[bytes], bool]
+    parse: Parser
+
+
+# In the order in which they are asked. What none of them knows is read as columns of text.
+READERS: tuple[Reader, ...] = (
+    Reader("K-NET", is_knet, parse_knet),
+    Reader("CSMIP", is_csmip, parse_csmip),
+    Reader("PEER", is_peer, parse_peer),
+    Reader("ObsPy", is_waveform, parse_waveform),
+    Reader("embedded format", is_embedded, parse_embedded),
+)
 
 
 def read_motion(
@@ -88,14 +116,7 @@ def parse_motion(
     if not data.strip():
         raise RecordError(name, f"{len(data)} bytes", "the file is empty")
     with np.errstate(over="ignore", invalid="ignore"):  # a Record refuses what is not finite
-        if is_knet(data):
-            return parse_knet(name, data, units=unit, sampling_interval=sampling_interval)
-        if csmip_volume(data) is not None:
-            return parse_csmip(name, data, units=unit, sampling_interval=sampling_interval)
-        if is_peer(data):
-            return parse_peer(name, data, units=unit, sampling_interval=sampling_interval)
-        if is_waveform(data):
-            return parse_waveform(name, data, units=unit, sampling_interval=sampling_interval)
-        if is_embedded(data):
-            return (parse_embedded(name, data, units=unit, sampling_interval=sampling_interval),)
+        for reader in READERS:
+            if reader.matches(data):
+                return reader.parse(name, data, units=unit, sampling_interval=sampling_interval)
         return parse_columns(name, data, units=unit, sampling_interval=sampling_interval)
