@@ -31,7 +31,8 @@ G, BOTH = {"units": "g"}, {"units": "g", "sampling_interval": STEP}
 READ = {
     "pandas index": (",time,acc\n" + COUNTED, G),
     "count from 1 and a step": (
-        "no,acc (g)\n" + "".join(f"{i + 1},{v}\n" for i, v in enumerate(PULSE)), {"sampling_interval": STEP}
+        "no,acc (g)\n" + "".join(f"{i + 1},{v}\n" for i, v in enumerate(PULSE)),
+        {"sampling_interval": STEP},
     ),
     "count without titles": ("".join(f"{i} {v}\n" for i, v in enumerate(PULSE)), BOTH),
     "pandas' own numbers as titles": (",0\n" + TWO, G),
@@ -52,14 +53,16 @@ READ = {
     "velocity and displacement by unit": (
         "t (s),ch 1 (g),ch 2 (cm/s),ch 3 (cm)\n" + rows(SECONDS, PULSE, 3 * PULSE, 7 * PULSE), {}
     ),
-    "time is not first": ("Acc (g),Time (s)\n" + rows(PULSE, SECONDS, formats="{:.6f}"), {}),
-    "decimal commas": ("Zeit;Beschleunigung\n" + rows(SECONDS, PULSE, separator=";").replace(".", ","), G),
+    "time is last": ("Acc (g),Time (s)\n" + rows(PULSE, SECONDS, formats="{:.6f}"), {}),
+    "decimal commas": (
+        "Zeit;Beschleunigung\n" + rows(SECONDS, PULSE, separator=";").replace(".", ","), G,
+    ),
     "decimal commas and blanks": (rows(SECONDS, PULSE, separator="  ").replace(".", ","), G),
     "decimal commas in one column": (ONE.replace(".", ","), BOTH),
     "trailing commas": ("Time (s),Acceleration (g),\n" + rows(SECONDS, PULSE, end=",\n"), {}),
     "trailing commas without titles": (rows(SECONDS, PULSE, end=",\n"), G),
     "no last line end": (TWO.rstrip("\n"), G),
-    "no last line end, shortest form": ("".join(f"{t:g} {v:g}\n" for t, v in zip(SECONDS, PULSE))
+    "no last line end, shortest form": ("".join(f"{0.01 * i:g} {v:g}\n" for i, v in enumerate(PULSE))
                                         + "4 -3.87409e-06", G),
     "old Macintosh": (("t [s],a [g]\n" + TWO).replace("\n", "\r"), {}),
     "DOS": (("t [s],a [g]\n" + TWO).replace("\n", "\r\n") + "\x1a" * 300, {}),
@@ -72,7 +75,9 @@ READ = {
     "wrapped by commas": ("".join(",".join(f"{v:.6f}" for v in PULSE[i : i + 5]) + "\n"
                                   for i in range(0, POINTS, 5)), BOTH),
     "wrapped, count and step first": ("400 0.01\n" + "".join(WRAPPED), G),
-    "wrapped in pairs": ("400 0.01\n" + rows(PULSE[::2], PULSE[1::2], separator=" ", formats="{:.6f}"), G),
+    "wrapped in pairs": (
+        "400 0.01\n" + rows(PULSE[::2], PULSE[1::2], separator=" ", formats="{:.6f}"), G,
+    ),
     "wrapped, a short last line": ("".join("".join(f"{v:10.6f}" for v in PULSE[i : i + 6]) + "\n"
                                            for i in range(0, POINTS, 6)), BOTH),
 }  # fmt: skip
@@ -221,11 +226,13 @@ def test_every_cut_of_a_text_without_a_line_end_is_right_or_refused():
     ("spelling", "name"),
     [(s, name) for name, spellings in {
         "g": ("g", "G", "g's"), "%g": ("%g", "% g", "percent g"), "mg": ("mg", "milli-g"),
-        "m/s^2": ("m/s2", "m/s^2", "m/s²", "m/s**2", "m/s/s", "m s-2", "m s^-2", "m.s-2", "m·s⁻²", "m/(s^2)",
+        "m/s^2": ("m/s2", "m/s^2", "m/s²", "m/s**2", "m/s/s", "m s-2", "m s^-2", "m.s-2", "m·s⁻²",
+                  "m/(s^2)",
                   "m/sec2", "m/sec/sec", "meters per second squared"),
         "cm/s^2": ("cm/s2", "cm/s²", "cm/sec^2", "cm/sec/sec", "Gal", "gal", "cm/s/s"),
         "mm/s^2": ("mm/s2", "mm/s/s", "mm s^-2"),
-        "in/s^2": ("in/s2", "in/s^2", "in/sec2", "inches/s^2"), "ft/s^2": ("ft/s^2", "ft/sec2", "feet/s2"),
+        "in/s^2": ("in/s2", "in/s^2", "in/sec2", "inches/s^2"),
+        "ft/s^2": ("ft/s^2", "ft/sec2", "feet/s2"),
     }.items() for s in spellings],
 )  # fmt: skip
 def test_spellings_of_units(spelling, name):
@@ -237,8 +244,8 @@ def test_spellings_of_units(spelling, name):
 
 
 def test_other_quantities_are_no_acceleration():
-    kinds = {"cm/s": "velocity", "m s-1": "velocity", "mm": "displacement", "s": "time", "counts": "counts",
-             "kN": "another quantity", "knots": None, "": None}  # fmt: skip
+    kinds = {"cm/s": "velocity", "m s-1": "velocity", "mm": "displacement", "s": "time", 
+             "counts": "counts", "kN": "another quantity", "knots": None, "": None}  # fmt: skip
     for text, kind in kinds.items():
         quantity = quantity_of(text)
         assert (quantity and quantity[0]) == kind
@@ -267,7 +274,7 @@ def test_peer_text_after_the_step(header):
 
 def test_peer_units_in_words():
     text = AT2.replace("ACCELERATION TIME HISTORY IN UNITS OF G", "The units are (g)")
-    assert only(text) == only(AT2)
+    assert np.array_equal(only(text).acceleration, only(AT2).acceleration)
     with pytest.raises(RecordError, match="differs"):
         only(text, units="gal")
 

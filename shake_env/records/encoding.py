@@ -31,10 +31,14 @@ def plain_text(name: str, data: bytes) -> bytes:
 
 
 def _unmarked(beginning: bytes) -> str | None:
-    """Return the UTF-16 in which a text of ASCII letters is written without a mark, or None."""
+    """Return the UTF-16 in which a text of Latin letters is written without a mark, or None."""
     whole = beginning[: len(beginning) // 2 * 2]
     first, second = whole[::2], whole[1::2]
     for letters, zeros, encoding in ((first, second, "utf-16-le"), (second, first, "utf-16-be")):
-        if len(letters) >= 8 and not zeros.strip(b"\0") and all(9 <= code < 127 for code in letters):
+        if (
+            len(letters) >= 8
+            and not zeros.strip(b"\0")
+            and all(9 <= code < 127 or code >= 160 for code in letters)
+        ):
             return encoding
     return None

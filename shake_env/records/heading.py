@@ -73,10 +73,10 @@ def _read_line(source: SourceText, index: int, heading: Heading, layout: Layout)
     raw = source.line(index).strip()
     comment = raw[0] in "#%"
     text = raw.lstrip("#%").strip()
-    if not comment and _is_data(text, layout):
-        raise source.error(index, "is not a row of numbers, and no title")
     mark = ":" if ":" in text else "="
     key, found, rest = (part.strip() for part in text.partition(mark))
+    if not comment and not (found and key[:1].isalpha()) and _is_data(text, layout):
+        raise source.error(index, "is not a row of numbers, and no title")
     plain = " ".join(key.lower().replace("_", " ").partition("(")[0].split())
     known = plain in (*_POINTS, *_STEP, *_RATE, *_UNITS)
     if not found or (mark == "=" and not known):

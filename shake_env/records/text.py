@@ -331,9 +331,14 @@ def _as_long(final: str, others: list[str]) -> bool:
     decimals = len(mantissa.partition(".")[2])
     if exponents != {0} or not all("." in m for m, _ in printed):
         return False
-    # Where lengths differ, as in the shortest decimal form, what a cut takes off is beyond the
-    # shortest of them.
-    return decimals >= min(digits) if len(digits) > 1 else digits == {decimals}
+    if len(digits) == 1:
+        return digits == {decimals}
+    # Numbers without their last zeros: one of full length is whole, and beyond 12 digits a cut is small.
+    return _significant(mantissa) >= min(max(_significant(m) for m, _ in printed), 12)
+
+
+def _significant(mantissa: str) -> int:
+    return len(mantissa.lstrip("+-").replace(".", "").lstrip("0"))
 
 
 def _printed(text: str) -> tuple[str, str]:
