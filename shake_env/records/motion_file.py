@@ -3,27 +3,66 @@
 from __future__ import annotations
 
 import math
+import os
+import stat
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from shake_env.errors import ParameterError, RecordError
-from shake_env.parameters import is_number
+from shake_env.parameters import GRAVITY, is_number
 from shake_env.records.columns import parse_columns
-from shake_env.records.csmip import csmip_volume, parse_csmip
+from shake_env.records.csmip import is_csmip, parse_csmip
 from shake_env.records.embedded import is_embedded, parse_embedded
+from shake_env.records.encoding import plain_text
 from shake_env.records.knet import is_knet, parse_knet
 from shake_env.records.peer import is_peer, parse_peer
 from shake_env.records.record import Record
-from shake_env.records.units import unit_asked
+from shake_env.records.units import Unit, unit_asked
 from shake_env.records.waveform import is_waveform, parse_waveform
 
+LARGEST_FILE = 256 * 2**20  # bytes
+LARGEST_ACCELERATION = 100.0 * GRAVITY  # [m/s^2] beyond it the unit must be wrong
+LARGEST_UNCONFIRMED = 3.0 * GRAVITY  # [m/s^2] beyond it a unit that the caller gives is confirmed
 _SUFFIXES = (".csv", ".txt", ".dat", ".at2", ".v1", ".v2", ".raw", ".mseed", ".sac")
 
 
+class Parser(Protocol):
+    """Read a whole file of one format: one record a channel, or RecordError."""
+
+    def __call__(  # noqa: D102
+        self, name: str, data: bytes, *, units: Unit | None, sampling_interval: float | None
+    ) -> tuple[Record, ...]: ...
+
+
+class Reader(NamedTuple):
+    """One format: its name, whether a file's content is of it, and how it is read."""
+
+    name: str
+    matches: Callable[[bytes], bool]
+    parse: Parser
+
+
+# In the order in which they are asked. What none of them knows is read as columns of text.
+READERS: tuple[Reader, ...] = (
+    Reader("K-NET", is_knet, parse_knet),
+    Reader("CSMIP", is_csmip, parse_csmip),
+    Reader("PEER", is_peer, parse_peer),
+    Reader("ObsPy", is_waveform, parse_waveform),
+    Reader("embedded format", is_embedded, parse_embedded),
+)
+
+
 def read_motion(
-    path: str | Path, *, units: str | None = None, sampling_interval: float | None = None
+    path: str | os.PathLike[str],
+    *,
+    units: str | None = None,
+    sampling_interval: float | None = None,
+    column: str | int | None = None,
+    allow_large: bool = False,
 ) -> tuple[Record, ...]:
     """Read a file of recorded ground acceleration.
 
@@ -34,12 +73,18 @@ def read_motion(
     Parameters
     ----------
     path
-        The file.
+        The file: a regular file of at most `LARGEST_FILE` bytes.
     units
-        Unit of a file that states none: ``"g"``, ``"m/s^2"``, ``"cm/s^2"``, ``"gal"`` or ``"mm/s^2"``;
-        for counts, with their sensitivity: ``"4.2e-7 m/s^2"``. A file's own unit must agree.
+        Unit of a file that states none: ``"g"``, ``"m/s^2"``, ``"cm/s^2"``, ``"gal"``, ``"mm/s^2"``,
+        ``"in/s^2"``, ``"ft/s^2"``, ``"%g"`` or ``"mg"``; for counts, with their sensitivity:
+        ``"4.2e-7 m/s^2"``. A file's own unit must agree.
     sampling_interval
         Step [s] of a file that states none; a file's own must agree.
+    column
+        The one column to take: its title, or its number in the file, counted from 1. In a format of
+        channels, the channel's name or its place in the file. None takes every acceleration.
+    allow_large
+        Whether a peak above 3 g is accepted where `units` gave the unit.
 
     Returns
     -------
@@ -48,26 +93,63 @@ def read_motion(
     Raises
     ------
     RecordError
-        If the file cannot be read or does not fit itself. The message names file, line and value.
+        If the file cannot be read, does not fit itself, contradicts an option, holds accelerations
+        above 100 g, or above 3 g by the given unit without `allow_large`. The message names file, line
+        and value.
     ParameterError
-        If `units` or `sampling_interval` is none.
+        If `path`, `units`, `sampling_interval` or `column` is none.
     """
     try:
         path = Path(path)
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise RecordError(
-            str(path), str(getattr(error, "strerror", None) or error), "must be a file that can be read"
-        ) from None
-    records = parse_motion(path.name, data, units=units, sampling_interval=sampling_interval)
+    except TypeError:
+        raise ParameterError("path", path, "must be a str or os.PathLike[str]") from None
+    records = parse_motion(
+        path.name,
+        _content(path),
+        units=units,
+        sampling_interval=sampling_interval,
+        column=column,
+        allow_large=allow_large,
+    )
     if path.suffix.lower() not in _SUFFIXES:  # as K-NET's, which name the component
         return records
     # Messages name the whole file; records go by its stem.
     return tuple(replace(r, name=path.stem + r.name.removeprefix(path.name)) for r in records)
 
 
+def _content(path: Path) -> bytes:
+    """Return the bytes of a regular file; whatever else stands there is not opened."""
+    try:
+        _check_door(path, os.stat(path))
+        flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        with open(os.open(path, flags), "rb") as stream:
+            status = os.fstat(stream.fileno())  # another file may stand there by now
+            _check_door(path, status)
+            return stream.read(status.st_size)
+    except (OSError, ValueError) as error:
+        if isinstance(error, RecordError):
+            raise
+        raise RecordError(
+            str(path), str(getattr(error, "strerror", None) or error), "must be a file that can be read"
+        ) from None
+
+
+def _check_door(path: Path, status: os.stat_result) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "no regular file"
+        raise RecordError(str(path), kind, "must be a regular file that can be read")
+    if status.st_size > LARGEST_FILE:
+        raise RecordError(str(path), f"{status.st_size} bytes", f"may have {LARGEST_FILE} at most")
+
+
 def parse_motion(
-    name: str, data: bytes, *, units: str | None = None, sampling_interval: float | None = None
+    name: str,
+    data: bytes,
+    *,
+    units: str | None = None,
+    sampling_interval: float | None = None,
+    column: str | int | None = None,
+    allow_large: bool = False,
 ) -> tuple[Record, ...]:
     """Read a file that is already in memory; see :func:`read_motion`.
 
@@ -77,7 +159,7 @@ def parse_motion(
         What its records and messages call it.
     data
         The whole file.
-    units, sampling_interval
+    units, sampling_interval, column, allow_large
         As for :func:`read_motion`.
     """
     unit = unit_asked(units)
@@ -85,17 +167,53 @@ def parse_motion(
         is_number(sampling_interval) and math.isfinite(sampling_interval) and sampling_interval > 0.0
     ):
         raise ParameterError("sampling_interval", sampling_interval, "must be a number above 0 s")
+    if column is not None and (
+        isinstance(column, bool) or not isinstance(column, str | int) or column == "" or column in (0,)
+    ):
+        raise ParameterError("column", column, "must be a title, or a number from 1 on")
+    if len(data) > LARGEST_FILE:
+        raise RecordError(name, f"{len(data)} bytes", f"may have {LARGEST_FILE} at most")
+    data = plain_text(name, data)
     if not data.strip():
         raise RecordError(name, f"{len(data)} bytes", "the file is empty")
+
+    def parsed(given: Unit | None) -> tuple[Record, ...]:
+        for reader in READERS:
+            if reader.matches(data):
+                records = reader.parse(name, data, units=given, sampling_interval=sampling_interval)
+                return records if column is None else (_picked(name, records, column),)
+        return parse_columns(name, data, units=given, sampling_interval=sampling_interval, column=column)
+
     with np.errstate(over="ignore", invalid="ignore"):  # a Record refuses what is not finite
-        if is_knet(data):
-            return parse_knet(name, data, units=unit, sampling_interval=sampling_interval)
-        if csmip_volume(data) is not None:
-            return parse_csmip(name, data, units=unit, sampling_interval=sampling_interval)
-        if is_peer(data):
-            return parse_peer(name, data, units=unit, sampling_interval=sampling_interval)
-        if is_waveform(data):
-            return parse_waveform(name, data, units=unit, sampling_interval=sampling_interval)
-        if is_embedded(data):
-            return (parse_embedded(name, data, units=unit, sampling_interval=sampling_interval),)
-        return parse_columns(name, data, units=unit, sampling_interval=sampling_interval)
+        records = parsed(unit)
+        peaks = [max(-float(np.min(r.acceleration)), float(np.max(r.acceleration))) for r in records]
+        for record, peak in zip(records, peaks, strict=True):
+            if peak > LARGEST_ACCELERATION:
+                remedy = f"{peak / GRAVITY:.4g} g is no acceleration of a table: the unit is wrong"
+                raise RecordError(f"{record.name}, peak", f"{peak:.6g} m/s^2", remedy)
+        if unit is not None and not allow_large and max(peaks) > LARGEST_UNCONFIRMED:
+            try:
+                parsed(None)
+            except RecordError:  # the file states no unit: nothing but the option says what it is
+                worst = max(peaks)
+                raise RecordError(
+                    f"{records[peaks.index(worst)].name}, peak", f"{worst:.6g} m/s^2",
+                    f"with units {unit} the peak is {worst / GRAVITY:.3g} g: give another unit, or "
+                    "allow_large=True (--allow-large) if it is right",
+                ) from None  # fmt: skip
+    return records
+
+
+def _picked(name: str, records: tuple[Record, ...], column: str | int) -> Record:
+    """Return the channel of a place in the file, counted from 1, or of a name."""
+    names = [record.name.removeprefix(name).strip() or record.name for record in records]
+    if isinstance(column, str) and not column.isdecimal():
+        chosen = [r for r, known in zip(records, names, strict=True) if known.lower() == column.lower()]
+    else:
+        chosen = list(records[int(column) - 1 : int(column)]) if int(column) > 0 else []
+    if len(chosen) != 1:
+        known = ", ".join(f"{i + 1} {text!r}" for i, text in enumerate(names))
+        raise RecordError(
+            f"{name}, column", column, f"must be one of the file's channels: {known}"[:400]
+        )
+    return chosen[0]
