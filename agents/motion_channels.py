@@ -30,6 +30,10 @@ class MotionOptions:
     """Unit of a file that states none: g, m/s^2, cm/s^2, gal, mm/s^2; of counts: '4.2e-7 m/s^2'."""
     sampling_interval: float | None = None
     """Step of a file that states none [s]."""
+    table: str | None = None
+    """Variable of a .mat file or sheet of a workbook, where it holds several."""
+    allow_seismometers: bool = False
+    """Read channels of seismometers (HHE, BHN, EHZ) whose samples are accelerations all the same."""
     remove_offset: bool = False
     """Take the mean off first, as K-NET's counts need."""
     highpass: float = 0.2
@@ -43,7 +47,13 @@ class MotionOptions:
 
     def read(self, path: Path) -> tuple[Record, ...]:
         """Return the records of a file, in SI."""
-        records = read_motion(path, units=self.units, sampling_interval=self.sampling_interval)
+        records = read_motion(
+            path,
+            units=self.units,
+            sampling_interval=self.sampling_interval,
+            table=self.table,
+            allow_seismometers=self.allow_seismometers,
+        )
         return tuple(remove_baseline(r, 0) for r in records) if self.remove_offset else records
 
     def motion(self, record: Record) -> RecordedMotion:

@@ -1,0 +1,202 @@
+"""MATLAB's ``.mat``: variables as columns of text. Versions 4 to 7 through scipy, 7.3 through h5py.
+
+Vectors of one length become columns titled by their names, fields of structures by ``name.field``. A
+variable called ``t`` or ``time`` is the time; ``dt`` or ``fs`` the step, ``units`` the unit.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import scipy.io
+
+from shake_env.errors import RecordError
+from shake_env.parameters import FloatArray
+from shake_env.records.columns import parse_columns
+from shake_env.records.header import LARGEST_TABLE, labelled
+from shake_env.records.record import Record
+from shake_env.records.units import Unit
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_TIMES = ("t", "time", "times", "time_s", "t_s")
+_STEPS = ("dt", "step", "time_step", "timestep", "sampling_interval", "sampling_interval_s")
+_RATES = ("fs", "rate", "sampling_rate", "sample_rate", "sampling_frequency")
+_UNITS = ("unit", "units")
+_DEPTH = 4  # of structures in structures
+_CHANNELS = 64  # columns of one array at most
+
+Variables = dict[str, Any]
+
+
+def is_matlab(data: bytes) -> bool:
+    """Return whether a file is MATLAB's, version 5 or later."""
+    return data.startswith((b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file", _HDF5))
+
+
+def parse_matlab(
+    name: str,
+    data: bytes,
+    *,
+    units: Unit | None = None,
+    sampling_interval: float | None = None,
+    table: str | None = None,
+) -> tuple[Record, ...]:
+    """Read a ``.mat`` file: one record a column of acceleration.
+
+    Parameters
+    ----------
+    name, data, units, sampling_interval
+        As for every reader.
+    table
+        Variable, field (``eq.acc``) or structure to read; None where its vectors have one length.
+
+    Raises
+    ------
+    RecordError
+        If the file cannot be read, the choice is not one, or what is chosen is no acceleration.
+    """
+    hdf5 = not data.startswith(b"MATLAB 5.0")
+    variables = dict(_flat(_hdf5(name, data) if hdf5 else _scipy(name, data)))
+    arrays = {key: array for key, value in variables.items() if (array := _array(value)) is not None}
+    chosen = _chosen(name, arrays, table)
+    header, columns = _columns(name, variables, arrays, chosen)
+    text = io.BytesIO()
+    for key, value in header.items():
+        text.write(f"# {key}: {value}\n".encode())
+    text.write("\t".join(columns).encode() + b"\n")
+    np.savetxt(text, np.column_stack(list(columns.values())), fmt="%.17g", delimiter="\t")
+    records = parse_columns(name, text.getvalue(), units=units, sampling_interval=sampling_interval)
+    label = f"MATLAB {'7.3' if hdf5 else '5'}, {', '.join(chosen)}"
+    return labelled(records, label, sorted(set(arrays) - set(chosen) - set(columns)))
+
+
+def _scipy(name: str, data: bytes) -> Variables:
+    try:
+        sizes = scipy.io.whosmat(io.BytesIO(data))
+        _check_size(name, sum(math.prod(shape) for _, shape, _ in sizes))
+        loaded: Variables = scipy.io.loadmat(io.BytesIO(data), squeeze_me=True, struct_as_record=False)
+    except RecordError:
+        raise
+    except Exception as error:  # what scipy raises on a damaged file is not written down
+        raise _unreadable(name, "scipy", error) from None
+    return {key: value for key, value in loaded.items() if not key.startswith("__")}
+
+
+def _hdf5(name: str, data: bytes) -> Variables:
+    try:
+        h5py = importlib.import_module("h5py")
+    except ImportError:
+        raise RecordError(
+            name, "MATLAB 7.3, which is HDF5", "save it with save(..., '-v7'), or: pip install h5py"
+        ) from None
+    try:
+        with h5py.File(io.BytesIO(data), "r") as file:
+            return {key: _hdf5_value(h5py, name, file, key) for key in file if key[0] != "#"}
+    except RecordError:
+        raise
+    except Exception as error:  # what h5py raises on a damaged file is not written down
+        raise _unreadable(name, "h5py", error) from None
+
+
+def _hdf5_value(h5py: Any, name: str, group: Any, key: str, depth: int = 0) -> Any:
+    """Return a variable: its text, its transposed array, or for a structure a dictionary."""
+    if not isinstance(group.get(key, getlink=True), h5py.HardLink):
+        raise RecordError(name, key, "is a link, perhaps to another file, and is not followed")
+    item = group[key]
+    if hasattr(item, "keys"):
+        return {k: _hdf5_value(h5py, name, item, k, depth + 1) for k in item} if depth < _DEPTH else None
+    if item.is_virtual or item.external:
+        raise RecordError(name, key, "lies in another file, which is not followed")
+    _check_size(name, int(item.size or 0))
+    values = np.asarray(item[()])
+    if item.attrs.get("MATLAB_class", b"") == b"char":
+        return "".join(chr(code) for code in values.ravel()[:200])
+    return np.squeeze(values.T)
+
+
+def _check_size(name: str, elements: int) -> None:
+    if elements > LARGEST_TABLE:
+        raise RecordError(name, f"{elements} elements", f"at most {LARGEST_TABLE} are read")
+
+
+def _unreadable(name: str, reader: str, error: Exception) -> RecordError:
+    return RecordError(name, f"{type(error).__name__}: {error}"[:200], f"{reader} cannot read it")
+
+
+def _flat(variables: Variables, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
+    """Yield every variable and every field of a structure by its whole name."""
+    for key, value in variables.items():
+        fields = value if isinstance(value, dict) else getattr(value, "__dict__", None)
+        if isinstance(fields, dict) and depth < _DEPTH:
+            own = {k: v for k, v in fields.items() if not k.startswith("_")}
+            yield from _flat(own, f"{prefix}{key}.", depth + 1)
+        else:
+            yield prefix + key, value
+
+
+def _array(value: Any) -> FloatArray | None:
+    """Return numbers as (samples, columns), or None of anything else."""
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "iuf" or value.ndim not in (1, 2):
+        return None
+    table = value.reshape(len(value), -1).astype(np.float64)
+    table = table.T if table.shape[0] < table.shape[1] else table
+    return table if len(table) >= 2 and table.shape[1] <= _CHANNELS else None
+
+
+def _chosen(name: str, arrays: dict[str, FloatArray], table: str | None) -> list[str]:
+    """Return the names of the arrays to read: the asked ones, or all where they have one length."""
+    known = ", ".join(f"{key} {array.shape}" for key, array in arrays.items())
+    if not arrays:
+        raise RecordError(name, "0 vectors", "the file must hold a vector of acceleration")
+    if table is not None:
+        chosen = [key for key in arrays if key == table or key.startswith(f"{table}.")]
+        if not chosen:
+            raise RecordError(name, table, f"is no variable of numbers here; there are: {known}")
+    else:
+        chosen = list(arrays)
+    chosen = [key for key in chosen if _short(key) not in _TIMES] or chosen
+    if len({len(arrays[key]) for key in chosen}) > 1:
+        raise RecordError(
+            name, known, "vectors of several lengths: choose one with table='NAME' (--table NAME)"
+        )
+    return chosen
+
+
+def _columns(
+    name: str, variables: Variables, arrays: dict[str, FloatArray], chosen: list[str]
+) -> tuple[dict[str, str], dict[str, FloatArray]]:
+    """Return header and columns of a text: step and unit, time where there is one, the chosen arrays."""
+    points = len(arrays[chosen[0]])
+    structure = chosen[0].rpartition(".")[0]
+    header: dict[str, str] = {}
+    for key, value in variables.items():
+        if key.rpartition(".")[0] not in (structure, ""):
+            continue
+        if isinstance(value, str) and _short(key) in _UNITS:
+            header["units"] = " ".join(value.split())
+        elif np.ndim(value) == 0 and isinstance(value, (int, float, np.number)):
+            if _short(key) in _STEPS:
+                header["sampling_interval_s"] = f"{float(value):.17g}"
+            elif _short(key) in _RATES and float(value) > 0.0:
+                header["sampling_interval_s"] = f"{1.0 / float(value):.17g}"
+    columns: dict[str, FloatArray] = {}
+    for key, array in arrays.items():
+        if _short(key) in _TIMES and array.shape == (points, 1) and key not in chosen:
+            columns["time [s]"] = array[:, 0]
+    for key in chosen:
+        for number, column in enumerate(arrays[key].T, start=1):
+            columns[key if arrays[key].shape[1] == 1 else f"{key}({number})"] = column
+    if len(columns) > 1 and "time [s]" not in columns and "sampling_interval_s" in header:
+        step = float(header["sampling_interval_s"])
+        time: FloatArray = step * np.arange(points, dtype=np.float64)
+        columns = {"time [s]": time, **columns}
+    return header, columns
+
+
+def _short(key: str) -> str:
+    return key.rpartition(".")[2].lower()
