@@ -21,6 +21,7 @@ from shake_env.records.header import (
     check_peak_about_any_mean,
     fortran_form,
     lower,
+    naming,
     sensor_entries,
     words_after,
 )
@@ -31,6 +32,7 @@ from shake_env.records.units import Unit, check_peak, settle_interval, settle_un
 _TEXTS_AT_MOST = 40
 _TITLE = re.compile(r"\(format v ?\d\d?\.\d\d? with (\d{1,3}) text lines\)", re.ASCII)
 _UNIT = re.compile(r"units ?= ?([^ (),]+) ?(?:\( ?(\d\d?) ?\))?", re.ASCII)
+_WORDS = {"veloc": "velocity", "displ": "displacement"}
 _KINDS = ("accel", "veloc", "displ")  # by the physical parameter 1, 2, 3
 _UNITS = {2: "g", 4: "cm/s^2", 7: "in/s^2", 10: "gal", 11: "mg", 50: "counts"}  # by their code
 _STAGES = {0: "volume 0, raw", 1: "volume 1, uncorrected", 2: "volume 2, corrected"}
@@ -75,9 +77,9 @@ def parse_cosmos(
     index = 0
     while index < len(source):
         header = _header(source, index)
-        kind, record, index = _channel(source, header, units, sampling_interval, tuple(skipped))
+        kind, record, index = _channel(source, header, units, sampling_interval)
         if record is None:
-            skipped.append(kind)
+            skipped.append(_WORDS[kind])
             continue
         if record.name in {other.name for other in records}:
             raise source.error(header.start, "the channel is there twice", record.name)
@@ -88,7 +90,7 @@ def parse_cosmos(
     at, numbers = stated[0]
     if len(records) > 1 and numbers and len(records) not in numbers:
         raise source.error(at, f"the file holds {len(records)} channels", f"{numbers[0]} Chns")
-    return tuple(records)
+    return naming(records, skipped)
 
 
 def _header(source: SourceText, start: int) -> _Header:
@@ -140,7 +142,6 @@ def _channel(
     header: _Header,
     units: Unit | None,
     sampling_interval: float | None,
-    skipped: tuple[str, ...],
 ) -> tuple[str, Record | None, int]:
     """Return kind, record (none of a velocity) and the line behind a channel."""
     at = header.data_at
@@ -158,7 +159,7 @@ def _channel(
     after = _after(source, at + 1 - (-count // layout[0]), kind)
     if kind != "accel":
         return kind, None, after
-    return kind, _record(source, header, values, unit, units, sampling_interval, skipped), after
+    return kind, _record(source, header, values, unit, units, sampling_interval), after
 
 
 def _after(source: SourceText, index: int, kind: str) -> int:
@@ -182,7 +183,6 @@ def _record(
     stated: re.Match[str],
     units: Unit | None,
     sampling_interval: float | None,
-    skipped: tuple[str, ...],
 ) -> Record:
     place, reals_at = source.place(header.data_at), header.reals_at
     raw = stated[1].rstrip("s").startswith(_RAW)
@@ -217,7 +217,6 @@ def _record(
         ("component", label or "not stated"),
         *_texts(source, header),
         *sensor_entries(_seed_code(source, header.comments)),
-        *((("not read", ", ".join(dict.fromkeys(skipped))),) if skipped else ()),
         ("units in the file", f"counts of {unit}" if raw else str(unit)),
     )
     return Record(_name(source, header, label), acceleration, step, attribution)

@@ -19,7 +19,7 @@ LARGEST_TABLE = 4_000_000  # numbers of a binary file
 LONGEST_LINE = 2000  # characters of a header line that are looked at
 _FORM = re.compile(r"\((\d{1,2})([FEI])(\d{1,2})(?:\.\d{1,2})?E?\d?\)", re.IGNORECASE | re.ASCII)
 _SEISMOMETERS = {"H": "a seismometer", "P": "a geophone"}  # by the second letter of a SEED code
-_LENGTH_STEPS = 2.0  # by which a stated length may differ: points times step, or one step less
+_LENGTH = 0.006  # s: what a length of two decimals may be off, beside half a step
 
 Keyed = dict[str, tuple[int, str]]
 
@@ -115,9 +115,9 @@ def check_length(source: SourceText, index: int, points: int, step: float, state
     Raises
     ------
     RecordError
-        If they differ by more than two steps.
+        If it is off both by more than half a step and its printed digits.
     """
-    if abs(points * step - stated) > _LENGTH_STEPS * step + 1e-3:
+    if min(abs(points * step - stated), abs((points - 1) * step - stated)) > 0.5 * step + _LENGTH:
         remedy = f"{points} samples at {step:g} s last {points * step:g} s"
         raise source.error(index, remedy, f"length {stated:g} s")
 
@@ -148,12 +148,17 @@ def check_peak_about_any_mean(place: str, stated: str, unit: Unit, acceleration:
         check_peak(place, stated, unit, acceleration)
 
 
-def labelled(records: Iterable[Record], form: str, not_read: list[str]) -> tuple[Record, ...]:
-    """Return records under another name of format, with what the file holds besides them."""
-    rest = (("not read", ", ".join(not_read)),) if not_read else ()
+def naming(records: Iterable[Record], not_read: Iterable[str]) -> tuple[Record, ...]:
+    """Return records that say what else their file holds."""
+    rest = ", ".join(dict.fromkeys(not_read))
+    entry = (("not read", rest),) if rest else ()
+    return tuple(replace(record, attribution=(*record.attribution, *entry)) for record in records)
+
+
+def labelled(records: Iterable[Record], form: str) -> tuple[Record, ...]:
+    """Return records under another name of their format."""
     return tuple(
-        replace(record, attribution=(("format", form), *record.attribution[1:], *rest))
-        for record in records
+        replace(record, attribution=(("format", form), *record.attribution[1:])) for record in records
     )
 
 

@@ -18,7 +18,7 @@ import scipy.io
 from shake_env.errors import RecordError
 from shake_env.parameters import FloatArray
 from shake_env.records.columns import parse_columns
-from shake_env.records.header import LARGEST_TABLE, labelled
+from shake_env.records.header import LARGEST_TABLE, labelled, naming
 from shake_env.records.record import Record
 from shake_env.records.units import Unit
 
@@ -72,7 +72,8 @@ def parse_matlab(
     np.savetxt(text, np.column_stack(list(columns.values())), fmt="%.17g", delimiter="\t")
     records = parse_columns(name, text.getvalue(), units=units, sampling_interval=sampling_interval)
     label = f"MATLAB {'7.3' if hdf5 else '5'}, {', '.join(chosen)}"
-    return labelled(records, label, sorted(set(arrays) - set(chosen) - set(columns)))
+    times = [key for key in arrays if _short(key) in _TIMES and "time [s]" in columns]
+    return naming(labelled(records, label), sorted(set(arrays) - set(chosen) - set(times)))
 
 
 def _scipy(name: str, data: bytes) -> Variables:

@@ -13,7 +13,7 @@ from typing import Any
 
 from shake_env.errors import RecordError
 from shake_env.records.columns import parse_columns
-from shake_env.records.header import labelled
+from shake_env.records.header import labelled, naming
 from shake_env.records.record import Record
 from shake_env.records.units import Unit
 
@@ -82,7 +82,7 @@ def parse_spreadsheet(
     place = f"{name}, sheet {title}"
     records = parse_columns(place, texts[title], units=units, sampling_interval=sampling_interval)
     others = [f"sheet {other}" for other in filled if other != title]
-    return labelled(records, f"workbook, sheet {title}", others)
+    return naming(labelled(records, f"workbook, sheet {title}"), others)
 
 
 def _text(sheet: Any) -> bytes:
