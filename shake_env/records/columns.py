@@ -1,155 +1,170 @@
-"""CSV and text in columns: time and one or more accelerations, or one acceleration at a known step.
+"""CSV and text in columns, and series of one acceleration that are wrapped over lines.
 
-Comment lines (``#`` or ``%``) may come first, then one line of titles. ``# points: 4000``,
-``# units: g`` and ``# sampling_interval_s: 0.01`` among the comments are believed and checked; a title
-may carry a unit in brackets. Columns are parted by commas, semicolons, tabs or blanks.
+Lines of a header may come first: comments (``#`` or ``%``), ``key: value``, prose, a line of count and
+step (``400 0.01``, as DEEPSOIL and eqsig write it), a row of titles, a row of units. Columns are parted
+by commas, semicolons, tabs or blanks; decimal commas are read where another character parts the columns.
+What each column was taken for stands in the record's attribution.
 """
 
 from __future__ import annotations
 
 import re
-
-import numpy as np
+from dataclasses import replace
 
 from shake_env.errors import RecordError
 from shake_env.parameters import FloatArray
+from shake_env.records.heading import MOST_LINES, Heading, read_heading
+from shake_env.records.layout import Layout
 from shake_env.records.record import Record
-from shake_env.records.text import NUMBER, SourceText, number
-from shake_env.records.units import Unit, settle_interval, settle_unit
+from shake_env.records.table import Table
+from shake_env.records.text import NUMBER, SourceText
+from shake_env.records.titles import Title
+from shake_env.records.units import Unit, settle_interval
+from shake_env.records.wrapping import is_series
 
-_BRACKETED = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
-_SECONDS = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3}
-_UNEVEN = 0.02  # of a step: more than printed digits take off, less than a line lost
 _FORMATS = "PEER .AT2, CSMIP volume 1 and 2, K-NET, CSV or columns of time and acceleration"
+_DECIMAL_COMMA = re.compile(r"[+-]?+\d++,\d++(?:[eE][+-]?+\d++)?+|[+-]?+\d++", re.ASCII)
+_SAMPLE = 200  # lines by which decimal commas are told from columns
 
 
 def parse_columns(
-    name: str, data: bytes, *, units: Unit | None = None, sampling_interval: float | None = None
+    name: str,
+    data: bytes,
+    *,
+    units: Unit | None = None,
+    sampling_interval: float | None = None,
+    column: str | int | None = None,
 ) -> tuple[Record, ...]:
-    """Read columns: one record for each column of acceleration.
+    """Read columns: one record for each column of acceleration, or the one that `column` names.
 
     Raises
     ------
     RecordError
         If a line is not as many numbers as the first, times are not evenly spaced, a stated count
-        differs, or neither the file nor the caller states a unit (and, without times, a step).
+        differs, the accelerations cannot be told from other columns, or neither the file nor the caller
+        states a unit (and, without times, a step).
     """
-    source = SourceText(name, data.removeprefix(b"\xef\xbb\xbf"))
-    header, index = _comments(source)
-    first_line = source.line(index)
-    separator = next((mark for mark in ";,\t" if mark in first_line), "")
-    separator = "" if separator == "\t" else separator
-    titles: list[str] = []
-    title_line = index
-    if not _is_numbers(first_line, separator) and _is_numbers(source.line(index + 1), separator):
-        titles = [
-            title.strip() for title in (first_line.split(separator) if separator else [first_line])
-        ]
-        index += 1
-    if not _is_numbers(source.line(index), separator):
-        raise source.error(index, f"is not a row of numbers; known formats: {_FORMATS}")
-    width = len(_parts(source.line(index), separator))
-    if not separator and titles:
-        titles = re.split(r"\t+|\s{2,}", first_line.strip())
-        titles = titles if len(titles) == width else first_line.split()
-    if len(titles) != width and titles:
-        titles = []  # blanks inside titles that blanks part: they cannot be told apart
-    table = source.numbers(index, len(source), per_line=width, separator=separator).reshape(-1, width)
-    if "points" in header:
-        at, text = header["points"]
-        if number(text) != len(table):
-            raise source.error(at, f"the file holds {len(table)} rows", f"points {text}")
-    if len(table) < 2:
-        raise source.error(index, "must be followed by another row: 2 samples at least")
-    stated = _stated_step(source, header)
-    if width > 1:
-        step = settle_interval(source.place(index), _step(source, table[:, 0], index, titles), stated)
-        step = settle_interval(source.place(index), step, sampling_interval)
-    else:
-        step = settle_interval(source.place(index), stated, sampling_interval)
-    records = []
-    for column in range(min(1, width - 1), width):
-        title = titles[column] if titles else ""
-        place, stated_unit = _stated_unit(source, header, title, title_line)
-        unit = settle_unit(place, stated_unit, units)
-        own = f" {title or f'column {column + 1}'}" if width > 2 else ""
-        attribution = (
-            ("format", "columns"),
-            *((key, text) for key, (_, text) in header.items()),
-            *((("title", title),) if title else ()),
-            ("units in the file", str(unit)),
+    source = SourceText(name, data)
+    first, layout = _body(source)
+    heading = read_heading(source, first, layout)
+    if first + 1 >= len(source):
+        raise source.error(first, "must be followed by another row: 2 samples at least")
+    columns = _columns(source, first, layout, heading)
+    width = len(columns)
+    wrapped = width == 1 and layout.per_line != 1
+    titles = heading.titles if len(heading.titles) == width else [Title("", None, None)] * width
+    step = None
+    if heading.step is not None:
+        step = settle_interval(source.place(heading.step[0]), heading.step[1], None)
+    table = Table(
+        name=name,
+        columns=columns,
+        titles=titles,
+        titled=bool(heading.titles),
+        row_place=lambda row: source.place(first + row),
+        title_place=source.place(heading.title_line),
+        unit=heading.unit and (source.place(heading.unit[0]), heading.unit[1]),
+        step=step,
+        header=tuple((key, text) for key, (_, text) in heading.entries.items()),
+        wrapped=layout.per_line if wrapped else None,
+    )
+    return table.records(units, sampling_interval, column)
+
+
+def _columns(source: SourceText, first: int, layout: Layout, heading: Heading) -> list[FloatArray]:
+    """Return the columns of the body, or its one series where that is wrapped over the lines."""
+    width, last = layout.per_line or 1, len(source)
+    final = len(layout.parts(source.line(last - 1)))
+    rows, total = last - first, (last - first - 1) * width + final
+    points = heading.points[1] if heading.points else None
+    if width > 1 and not heading.titles and 0 < final <= width and points != rows:
+        series = source.series(first, last, layout)
+        if is_series(series[: (rows - 1) * width].reshape(-1, width), counted=points == total):
+            return [series]
+    if heading.points and points != rows:
+        raise source.error(heading.points[0], f"the file holds {rows} rows", f"points {points}")
+    return source.columns(first, last, layout)
+
+
+def _body(source: SourceText) -> tuple[int, Layout]:
+    """Return the first line of the numbers, and their layout."""
+    lines = range(min(MOST_LINES, len(source)))
+    text = (
+        [i for i in range(len(source)) if not _is_comment(source.line(i))]
+        if len(source) < MOST_LINES
+        else lines
+    )
+    if not text:
+        raise RecordError(
+            source.name, f"{len(source)} lines", f"holds no data; known formats: {_FORMATS}"
         )
-        records.append(Record(f"{name}{own}", unit.to_si(table[:, column]), step, attribution))
-    return tuple(records)
+    decimal_comma = _has_decimal_commas(source)
+    before: Layout | None = None
+    for index in lines:
+        layout = _layout(source.line(index), decimal_comma)
+        if layout and layout == before and not _is_count_and_step(source, index - 1, layout):
+            return index - 1, layout
+        before = layout
+    if before is not None and len(source) <= MOST_LINES:
+        return len(source) - 1, before  # one row, which is refused as such
+    shown = next((i for i in lines if not _is_comment(source.line(i))), 0)
+    raise source.error(shown, f"is not a row of numbers; known formats: {_FORMATS}")
 
 
-def _comments(source: SourceText) -> tuple[dict[str, tuple[int, str]], int]:
-    """Return the comments as key: (line, text), and the first line behind them."""
-    header: dict[str, tuple[int, str]] = {}
-    index = 0
-    while index < len(source):
-        line = source.line(index).strip()
-        if line and line[0] not in "#%":
-            break
-        key, colon, text = line[1:].partition(":")
-        key = key.strip() if colon else f"comment line {index + 1}"
-        if line:
-            if key in header:
-                raise source.error(index, "says again what a line above says")
-            header[key] = index, (text if colon else line[1:]).strip()
-        index += 1
-    if index >= len(source):
-        raise RecordError(source.name, f"{index} lines", f"holds no data; known formats: {_FORMATS}")
-    return header, index
+def _is_comment(line: str) -> bool:
+    return line.strip()[:1] in ("", "#", "%")
 
 
-def _parts(line: str, separator: str) -> list[str]:
-    return line.split(separator) if separator else line.split()
+def _is_count_and_step(source: SourceText, index: int, layout: Layout) -> bool:
+    """Return whether a line of two numbers is the count and step of the lines below it."""
+    parts = layout.parts(source.line(index))
+    rows = len(source) - index - 1
+    return (
+        len(parts) == 2 and parts[0].isdecimal() and len(parts[0]) < 10
+        and int(parts[0]) in (rows, 2 * rows, 2 * rows - 1)
+    )  # fmt: skip
 
 
-def _is_numbers(line: str, separator: str) -> bool:
-    return bool(line.strip()) and all(NUMBER.fullmatch(part.strip()) for part in _parts(line, separator))
-
-
-def _stated_step(source: SourceText, header: dict[str, tuple[int, str]]) -> float | None:
-    if "sampling_interval_s" not in header:
+def _layout(line: str, decimal_comma: bool) -> Layout | None:
+    """Return the layout of a line that is nothing but numbers, or None."""
+    line = line.strip("\r\n")
+    comma = "," if "," in line and not decimal_comma else ""
+    separator = ";" if ";" in line else comma
+    stripped = line.rstrip()
+    trailing = bool(separator) and stripped.endswith(separator)
+    layout = Layout(separator=separator, decimal_comma=decimal_comma, trailing=trailing)
+    parts = layout.parts(line)
+    if not parts or not all(NUMBER.fullmatch(part) for part in parts):
         return None
-    at, text = header["sampling_interval_s"]
-    value = number(text)
-    if value is None:
-        raise source.error(at, "must be a number of seconds")
-    return settle_interval(source.place(at), value, None)
+    return replace(layout, per_line=len(parts))
 
 
-def _stated_unit(
-    source: SourceText, header: dict[str, tuple[int, str]], title: str, title_line: int
-) -> tuple[str, str | None]:
-    if match := _BRACKETED.search(title):
-        return source.place(title_line), match[1]
-    if "units" in header:
-        return source.place(header["units"][0]), header["units"][1]
-    return source.place(title_line), None
+def _has_decimal_commas(source: SourceText) -> bool:
+    """Return whether a comma stands for the decimal point.
 
-
-def _step(source: SourceText, time: FloatArray, first: int, titles: list[str]) -> float:
-    """Return the step of evenly spaced times [s]."""
-    scale = 1.0
-    if titles and (match := _BRACKETED.search(titles[0])):
-        if match[1].lower() not in _SECONDS:
-            raise source.error(first - 1, "the first column must be time in s", match[1])
-        scale = _SECONDS[match[1].lower()]
-    steps = np.diff(time)
-    with np.errstate(over="ignore", invalid="ignore"):
-        mean = float(time[-1] - time[0]) / (len(time) - 1)
-        if not (np.isfinite(mean) and mean > 0.0):
-            raise source.error(first, "the first column must be time, rising from line to line")
-        uneven = np.abs(time - (time[0] + mean * np.arange(len(time)))) > _UNEVEN * mean
-        uneven[1:] |= np.abs(steps - mean) > 2.0 * _UNEVEN * mean
-    if uneven.any():
-        # Past a lost line every time is off a little; the step that is off the most is the lost line.
-        worst = int(np.argmax(np.abs(steps - np.median(steps)))) + 1
-        raise source.error(
-            first + worst, f"the times are not evenly spaced by {float(np.median(steps)):g} s"
-        )
-    short = float(f"{mean:.9g}")  # 0.005, where the times' own rounding makes 0.00499999999999
-    return scale * (short if abs(short - mean) <= 1e-9 * mean else mean)
+    Raises
+    ------
+    RecordError
+        If a comma may as well part two columns of whole numbers.
+    """
+    pairs: list[tuple[str, str]] = []
+    at = 0
+    for index in range(min(_SAMPLE, len(source))):
+        line = source.line(index).strip()
+        if "," not in line or _is_comment(line):
+            continue
+        parts = [part.strip() for part in (line.split(";") if ";" in line else line.split())]
+        if all(not part or _DECIMAL_COMMA.fullmatch(part) for part in parts):
+            if len(parts) > 1:
+                return True
+            whole, _, fraction = parts[0].partition(",")
+            pairs.append((whole, fraction))
+            at = at or index
+        elif all(NUMBER.fullmatch(part.strip()) for part in line.rstrip(",").split(",")):
+            return False
+    counts = [whole for whole, _ in pairs]
+    if len(pairs) < 2 or counts in ([str(k + b) for k in range(len(pairs))] for b in (0, 1)):
+        return False
+    if any(len(fraction) > 1 and fraction[0] == "0" for _, fraction in pairs):
+        return True
+    raise source.error(at, "may be one number with a decimal comma or two columns: write decimal points")

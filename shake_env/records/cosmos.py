@@ -17,6 +17,7 @@ from shake_env.errors import RecordError
 from shake_env.parameters import FloatArray
 from shake_env.records.header import (
     LONGEST_LINE,
+    behind_blank_lines,
     check_length,
     check_peak_about_any_mean,
     fortran_form,
@@ -70,7 +71,7 @@ def parse_cosmos(
         If the file holds no acceleration, or counts, steps, length, unit, peak or number of channels
         contradict each other or the data.
     """
-    source = SourceText(name, data.rstrip(b"\x1a"))
+    source = SourceText(name, data)
     records: list[Record] = []
     skipped: list[str] = []
     stated: list[tuple[int, tuple[int, ...]]] = []  # numbers of channels, and where they are stated
@@ -169,8 +170,7 @@ def _after(source: SourceText, index: int, kind: str) -> int:
         if any(other in line for other in _KINDS) and kind not in line:
             raise source.error(index, f"ends other data than the {kind} above")
         index += 1
-    while index < len(source) and not source.line(index).strip():
-        index += 1
+    index = behind_blank_lines(source, index)
     if index < len(source) and _TITLE.search(" ".join(lower(source, index).split())) is None:
         raise source.error(index, "is more data than the channel above states, and no next channel")
     return index

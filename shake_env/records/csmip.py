@@ -19,26 +19,31 @@ _CHANNEL_HEADER = 80  # lines at most
 _COLUMNS = 8
 _FLAGS = re.IGNORECASE | re.ASCII
 _BLOCK = re.compile(
-    r"\s*(\d+)\s+(?:points\s+of\s+(accel|veloc|displ)\S*\s+data\s+equally\s+spaced\s+at\s+(\S+)\s*sec\b"
-    r"|accelerogram\s+points\s+at\s+(\S+)\s+pts/sec\b)(.*)",
+    r"\s*+(\d++)\s++"
+    r"(?:points\s++of\s++(accel|veloc|displ)\S*+\s++data\s++equally\s++spaced\s++at\s++([^\sa-df-z]++)\s*+sec\b"
+    r"|accelerogram\s++points\s++at\s++(\S++)\s++pts/sec\b)(.*+)",
     _FLAGS,
 )
 _LOOKS_LIKE_BLOCK = re.compile(
-    r"points\s+of\s+(accel|veloc|displ)\S*\s+data\s+equally|accelerogram points", _FLAGS
+    r"points\s++of\s++(?:accel|veloc|displ)\S*+\s++data\s++equally|accelerogram points", _FLAGS
 )
-_UNIT = re.compile(r"(?:\bin\s+units\s+of\s+|\bunits:\s*|\bin\s+)([^\s()]+)", _FLAGS)
-_FORMAT = re.compile(r"\(\s*(\d+)\s*f\s*(\d+)\.(\d+)\s*\)", _FLAGS)
-_CHANNEL = re.compile(r"chan\s+(\d+)\s*:\s*(.*?)\s*", _FLAGS)
-_CHANNELS = re.compile(r"\(\s*(\d+)\s*chns?\s+of\s+(\d+)", _FLAGS)
-_POINTS = re.compile(r"No\.\s*of\s*points\s*=\s*(\d+)|(\d+)\s+points\s+of\s+instrument", _FLAGS)
-_LENGTH = re.compile(r"record\s+length\s*=\s*(\d*\.?\d*)\s*sec", _FLAGS)
-_RATE = re.compile(r"\bat\s+(\d+\.?\d*)\s*samples/sec", _FLAGS)
-_SPACING = re.compile(r"equally-spaced\s+intervals\s+of\s+(\d*\.\d+)\s*sec", _FLAGS)
-_PEAK_1 = re.compile(r"\bmax\s*=\s*(-?\d*\.\d+)\s*([^\s,]+)\s*,?\s+at\b", _FLAGS)
-_PEAK_2 = re.compile(r"\s*peak\s+acceleration\s*=\s*(-?\d*\.\d+)\s+(\S+)\s+at\b", _FLAGS)
+_UNIT = re.compile(r"(?:\bin\s++units\s++of\s++|\bunits:\s*+|\bin\s++)([^\s()]++)", _FLAGS)
+_FORMAT = re.compile(r"\(\s*+(\d++)\s*+f\s*+(\d++)\.(\d++)\s*+\)", _FLAGS)
+_CHANNEL = re.compile(r"chan\s++(\d++)\s*+:(.*+)", _FLAGS)
+_STATION_CHANNEL = re.compile(r"\(\s*+sta\s++chn\s*+:\s*+(\d++)\s*+\)", _FLAGS)
+_CHANNELS = re.compile(r"\(\s*+(\d++)\s*+chns?\s++of\s++(\d++)", _FLAGS)
+_POINTS = re.compile(
+    r"No\.\s*+of\s*+points\s*+=\s*+(\d++)|(?<!\d)(\d++)\s++points\s++of\s++instrument", _FLAGS
+)
+_DECIMAL = r"(\d*+(?:\.\d*+)?+)"
+_LENGTH = re.compile(rf"record\s++length\s*+=\s*+{_DECIMAL}\s*+sec", _FLAGS)
+_RATE = re.compile(rf"\bat\s++(?=\d){_DECIMAL}\s*+samples/sec", _FLAGS)
+_SPACING = re.compile(r"equally-spaced\s++intervals\s++of\s++(\d*+\.\d++)\s*+sec", _FLAGS)
+_PEAK_1 = re.compile(r"\bmax\s*+=\s*+(-?+\d*+\.\d++)\s*+([^\s,]++)\s*+(?:,\s++)?+at\b", _FLAGS)
+_PEAK_2 = re.compile(r"\s*+peak\s++acceleration\s*+=\s*+(-?+\d*+\.\d++)\s++(\S++)\s++at\b", _FLAGS)
 _WORDS = re.compile(r"[a-z]{4}", _FLAGS)
-_TITLE = re.compile(r"\s*(un)?corrected accelerogram", _FLAGS)
-_END = re.compile(r"/&.*?(?:channel\s+(\d+)|$)", _FLAGS)
+_TITLE = re.compile(r"\s*+(?:un)?corrected accelerogram", _FLAGS)
+_END = re.compile(r"\bchannel\s++(\d++)", _FLAGS)
 
 
 def csmip_volume(data: bytes) -> int | None:
@@ -93,7 +98,7 @@ def parse_csmip(
             raise source.error(first, f"channel {channel} is there twice")
         records.append(record)
         numbers.append(channel)
-        index = _after(source, blocks[-1].after, channel)
+        index = _after(source, blocks[-1].after, channel, _station_channel(source, lines))
     place, wanted, station = expected
     # Structures' arrays are also given out one channel a file, under the header of the whole array.
     alone = len(records) == 1 and (numbers[0] > 1 or station > 3)
@@ -169,14 +174,20 @@ def _read_block(source: SourceText, index: int, kind: str, width: int) -> _Block
     return _Block(kind, index, interval, unit and unit[1], values, index + 1 - (-count // columns))
 
 
-def _after(source: SourceText, index: int, channel: int) -> int:
+def _station_channel(source: SourceText, lines: range) -> int | None:
+    """Return the station's number of a channel, where the header states it beside the recorder's."""
+    found = _search(source, _STATION_CHANNEL, lines)
+    return int(found[1][1][:9]) if found else None
+
+
+def _after(source: SourceText, index: int, channel: int, station_channel: int | None) -> int:
     """Return the line where the next channel begins."""
     marked = False
     while index < len(source):
         line = source.line(index)
         if line.startswith("/") and not marked:
-            end = _END.match(line)
-            if end and end[1] and int(end[1][:9]) != channel:
+            end = _END.search(line) if line.startswith("/&") else None
+            if end and int(end[1][:9]) not in (channel, station_channel):
                 raise source.error(index, f"ends another channel than {channel}, which stands above")
             marked = True
         elif line.strip():
@@ -197,7 +208,7 @@ def _record(
     corrected = len(blocks) > 1
     unit = settle_unit(source.place(block.place), block.unit, units)
     interval = settle_interval(source.place(block.place), block.interval, sampling_interval)
-    acceleration = unit.to_si(block.values)
+    acceleration = unit.to_si(block.values, out=block.values)
     _check_header(source, lines, len(acceleration), interval)
     if peak := _search(source, _PEAK_2 if corrected else _PEAK_1, lines):
         check_peak(
@@ -210,7 +221,9 @@ def _record(
     channel, label = order, ""
     for text in texts:
         if match := _CHANNEL.fullmatch(text):
-            channel, label = int(match[1][:9]), match[2]
+            channel, label = int(match[1][:9]), match[2].strip()
+            if beside := _STATION_CHANNEL.search(label):  # what follows it is the location
+                label = label[: beside.start()].strip()
     header = [
         (f"header line {i + 1}", text) for i, text in enumerate(texts) if text and _WORDS.search(text)
     ]

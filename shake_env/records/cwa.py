@@ -29,7 +29,7 @@ _UNEVEN = 0.02  # of a step
 
 def is_cwa(data: bytes) -> bool:
     """Return whether a file's beginning is this format's."""
-    head = data[:4000].removeprefix(b"\xef\xbb\xbf").lstrip()
+    head = data[:4000].lstrip()
     return head.startswith((b"#Earthquake Information", b"#StationCode")) and b"#SampleRate" in head
 
 
@@ -43,7 +43,7 @@ def parse_cwa(
     RecordError
         If the header lacks rate, unit or order, or length, times or peaks are not the data's.
     """
-    source = SourceText(name, data.removeprefix(b"\xef\xbb\xbf"))
+    source = SourceText(name, data)
     first = 0
     while first < _HEADER_LINES and (source.line(first)[:1] == "#" or not source.line(first).strip()):
         first += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -24,12 +25,15 @@ _NEEDED = (
     "units",
 )
 _TITLE = "acceleration"
-_BEGINNING = re.compile(rb"^#\s*sampling_interval_s\s*:.*^acceleration\s*$", re.DOTALL | re.MULTILINE)
+_INTERVAL = re.compile(rb"^#[ \t]*+sampling_interval_s[ \t]*+:", re.MULTILINE)
+_COLUMN = re.compile(rb"^acceleration[ \t]*+\r?$", re.MULTILINE)
 
 
 def is_embedded(data: bytes) -> bool:
     """Return whether a file's beginning is this format's."""
-    return data.startswith(b"#") and _BEGINNING.search(data[:16_384]) is not None
+    beginning = data[:16_384]
+    interval = _INTERVAL.search(beginning) if data.startswith(b"#") else None
+    return interval is not None and _COLUMN.search(beginning, interval.end()) is not None
 
 
 def parse_record(name: str, text: str | bytes) -> Record:
@@ -87,7 +91,7 @@ def parse_embedded(
             f"{name}, points", header["points"], f"the file holds {len(values)} samples (2 at least)"
         )
     with np.errstate(over="ignore"):
-        acceleration = unit.to_si(values)
+        acceleration = unit.to_si(values, out=values)
     if not np.isfinite(acceleration).all():
         raise source.error(
             title + 1 + int(np.argmin(np.isfinite(acceleration))), "is not a finite acceleration"
@@ -99,8 +103,8 @@ def _header(source: SourceText) -> tuple[dict[str, str], int]:
     header: dict[str, str] = {}
     index = 0
     while source.line(index).startswith("#"):
-        line = source.data[source.starts[index] : source.ends[index]].decode("utf-8", "replace")
-        key, colon, entry = line.rstrip("\r")[1:].partition(":")
+        line = source.line(index)
+        key, colon, entry = line[1:].partition(":")
         if not colon:
             raise source.error(index, "header lines read '# key: value'", line)
         if key.strip() in header:
@@ -117,7 +121,7 @@ def _number(name: str, header: dict[str, str], key: str) -> float:
     return value
 
 
-def write_record(record: Record, path: str | Path) -> Path:
+def write_record(record: Record, path: str | os.PathLike[str]) -> Path:
     """Write a record in the embedded format; reading it back gives the same bits.
 
     The unit is g where every sample is some number of g, rounded, and m/s^2 where it is not. Header

@@ -17,6 +17,7 @@ from shake_env.records.units import Unit, check_peak
 
 LARGEST_TABLE = 4_000_000  # numbers of a binary file
 LONGEST_LINE = 2000  # characters of a header line that are looked at
+_BLANK_LINES = 100  # at most between channels
 _FORM = re.compile(r"\((\d{1,2})([FEI])(\d{1,2})(?:\.\d{1,2})?E?\d?\)", re.IGNORECASE | re.ASCII)
 _SEISMOMETERS = {"H": "a seismometer", "P": "a geophone"}  # by the second letter of a SEED code
 _LENGTH = 0.006  # s: what a length of two decimals may be off, beside half a step
@@ -27,6 +28,15 @@ Keyed = dict[str, tuple[int, str]]
 def lower(source: SourceText, index: int) -> str:
     """Return the beginning of a line in lower case, blanks at its ends taken off."""
     return source.line(index)[:LONGEST_LINE].strip().lower()
+
+
+def behind_blank_lines(source: SourceText, index: int, marker: str = "") -> int:
+    """Return the first line from `index` on that neither is blank nor begins with `marker`."""
+    for at in range(index, min(index + _BLANK_LINES, len(source))):
+        line = source.line(at)
+        if line.strip() and not (marker and line.startswith(marker)):
+            return at
+    return min(index + _BLANK_LINES, len(source))
 
 
 def keyed_lines(source: SourceText, first: int, last: int, marker: str = "") -> Keyed:

@@ -5,6 +5,7 @@ The header's columns are 18 characters wide; its maximum is taken about the reco
 
 from __future__ import annotations
 
+import math
 import re
 
 import numpy as np
@@ -15,9 +16,12 @@ from shake_env.records.units import Unit, check_peak, settle_interval, unit_name
 
 _HEADER_LINES = 24  # at most
 _KEY = 18  # characters
-_SCALE = re.compile(r"(\d+\.?\d*)\s*\((gal)\)\s*/\s*(\d+\.?\d*)", re.IGNORECASE | re.ASCII)
-_RATE = re.compile(r"(\d+\.?\d*)\s*Hz", re.IGNORECASE | re.ASCII)
-_NEEDED = ("Sampling Freq(Hz)", "Duration Time(s)", "Scale Factor")
+_SCALE = re.compile(
+    r"(\d++(?:\.\d*+)?+)\s*+\((gal)\)\s*+/\s*+(\d++(?:\.\d*+)?+)", re.IGNORECASE | re.ASCII
+)
+_RATE = re.compile(r"(\d++(?:\.\d*+)?+)\s*+Hz", re.IGNORECASE | re.ASCII)
+_PEAK = "Max. Acc. (gal)"
+_NEEDED = ("Sampling Freq(Hz)", "Duration Time(s)", "Scale Factor", _PEAK)
 
 
 def is_knet(data: bytes) -> bool:
@@ -34,7 +38,7 @@ def parse_knet(
     ------
     RecordError
         If the header lacks rate, duration, scale factor or its last line, the number of counts is not
-        rate times duration, or their peak about the mean is not the header's.
+        rate times duration, or their peak about the mean is not the header's or is not stated.
     """
     source = SourceText(name, data)
     header: dict[str, tuple[int, str]] = {}
@@ -54,12 +58,12 @@ def parse_knet(
             raise source.error(index, f"the header above has no line '{key}'")
     at, text = header["Sampling Freq(Hz)"]
     rate = _RATE.fullmatch(text)
-    if rate is None or float(rate[1]) <= 0.0:
+    if rate is None or not 0.0 < float(rate[1]) < math.inf:
         raise source.error(at, "expected a rate such as '100Hz'")
     step = settle_interval(source.place(at), 1.0 / float(rate[1]), sampling_interval)
     at, text = header["Scale Factor"]
     scale = _SCALE.fullmatch(text)
-    if scale is None or float(scale[1]) <= 0.0 or float(scale[3]) <= 0.0:
+    if scale is None or not all(0.0 < float(part) < math.inf for part in (scale[1], scale[3])):
         raise source.error(at, "expected a factor such as '3920(gal)/6182761'")
     unit = unit_named(scale[2])
     assert unit is not None  # the pattern admits gal only
@@ -74,10 +78,14 @@ def parse_knet(
         remedy = f"at {rate[1]} Hz the file's {len(counts)} counts last {len(counts) * step:g} s"
         raise source.error(at, remedy, f"Duration Time {text}")
     # One rounding each: the ratio first would round once more.
-    acceleration = unit.to_si(counts * float(scale[1]) / float(scale[3]))
-    at, text = header.get("Max. Acc. (gal)", (0, ""))
-    if number(text) is not None:
-        check_peak(source.place(at), text, unit, acceleration - np.mean(acceleration))
+    counts *= float(scale[1])
+    counts /= float(scale[3])
+    acceleration = unit.to_si(counts, out=counts)
+    at, text = header[_PEAK]
+    if number(text) is None:
+        raise source.error(at, "expected the largest acceleration in gal, which the scale is checked by")
+    extremes = np.array([np.min(acceleration), np.max(acceleration)])
+    check_peak(source.place(at), text, unit, extremes - np.mean(acceleration))
     attribution = (
         ("format", "K-NET ASCII"),
         ("network", "NIED K-NET, KiK-net"),

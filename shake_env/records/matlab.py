@@ -1,4 +1,4 @@
-"""MATLAB's ``.mat``: variables as columns of text. Versions 4 to 7 through scipy, 7.3 through h5py.
+"""MATLAB's ``.mat``: variables as columns of a table. Version 5 through scipy, 7.3 through h5py.
 
 Vectors of one length become columns titled by their names, fields of structures by ``name.field``. A
 variable called ``t`` or ``time`` is the time; ``dt`` or ``fs`` the step, ``units`` the unit.
@@ -10,6 +10,7 @@ import importlib
 import io
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,11 @@ import scipy.io
 
 from shake_env.errors import RecordError
 from shake_env.parameters import FloatArray
-from shake_env.records.columns import parse_columns
 from shake_env.records.header import LARGEST_TABLE, labelled, naming
 from shake_env.records.record import Record
+from shake_env.records.table import Table
+from shake_env.records.times import is_even
+from shake_env.records.titles import Title, title_of
 from shake_env.records.units import Unit
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -44,14 +47,15 @@ def parse_matlab(
     *,
     units: Unit | None = None,
     sampling_interval: float | None = None,
+    column: str | int | None = None,
     table: str | None = None,
 ) -> tuple[Record, ...]:
     """Read a ``.mat`` file: one record a column of acceleration.
 
     Parameters
     ----------
-    name, data, units, sampling_interval
-        As for every reader.
+    name, data, units, sampling_interval, column
+        As for :func:`shake_env.records.columns.parse_columns`; a column's title is its variable's name.
     table
         Variable, field (``eq.acc``) or structure to read; None where its vectors have one length.
 
@@ -64,15 +68,21 @@ def parse_matlab(
     variables = dict(_flat(_hdf5(name, data) if hdf5 else _scipy(name, data)))
     arrays = {key: array for key, value in variables.items() if (array := _array(value)) is not None}
     chosen = _chosen(name, arrays, table)
-    header, columns = _columns(name, variables, arrays, chosen)
-    text = io.BytesIO()
-    for key, value in header.items():
-        text.write(f"# {key}: {value}\n".encode())
-    text.write("\t".join(columns).encode() + b"\n")
-    np.savetxt(text, np.column_stack(list(columns.values())), fmt="%.17g", delimiter="\t")
-    records = parse_columns(name, text.getvalue(), units=units, sampling_interval=sampling_interval)
+    times = _times(arrays, chosen)
+    unit, step = _unit_and_step(variables, chosen[0].rpartition(".")[0])
+    columns, titles = _columns({key: arrays[key] for key in (*times, *chosen)})
+    content = Table(
+        name=name,
+        columns=columns,
+        titles=titles,
+        titled=any(title.kind for title in titles),
+        row_place=lambda row: f"{name}, {', '.join(chosen)}, sample {row + 1}",
+        title_place=f"{name}, {', '.join(chosen)}",
+        unit=unit and (f"{name}, {unit[0]}", unit[1]),
+        step=step,
+    )
+    records = content.records(units, sampling_interval, column)
     label = f"MATLAB {'7.3' if hdf5 else '5'}, {', '.join(chosen)}"
-    times = [key for key in arrays if _short(key) in _TIMES and "time [s]" in columns]
     return naming(labelled(records, label), sorted(set(arrays) - set(chosen) - set(times)))
 
 
@@ -168,35 +178,50 @@ def _chosen(name: str, arrays: dict[str, FloatArray], table: str | None) -> list
     return chosen
 
 
-def _columns(
-    name: str, variables: Variables, arrays: dict[str, FloatArray], chosen: list[str]
-) -> tuple[dict[str, str], dict[str, FloatArray]]:
-    """Return header and columns of a text: step and unit, time where there is one, the chosen arrays."""
-    points = len(arrays[chosen[0]])
-    structure = chosen[0].rpartition(".")[0]
-    header: dict[str, str] = {}
+def _times(arrays: dict[str, FloatArray], chosen: list[str]) -> list[str]:
+    """Return the vector that holds the chosen ones' time, of their own structure before another."""
+    points, structure = len(arrays[chosen[0]]), chosen[0].rpartition(".")[0]
+    times = [
+        key
+        for key, array in arrays.items()
+        if _short(key) in _TIMES and array.shape == (points, 1) and key not in chosen
+        and key.rpartition(".")[0] in (structure, "")
+    ]  # fmt: skip
+    return sorted(times, key=lambda key: key.rpartition(".")[0] != structure)[:1]
+
+
+def _unit_and_step(variables: Variables, structure: str) -> tuple[tuple[str, str] | None, float | None]:
+    """Return the name and text of a unit, and a step [s], of a structure or beside it."""
+    unit, step = None, None
     for key, value in variables.items():
         if key.rpartition(".")[0] not in (structure, ""):
             continue
         if isinstance(value, str) and _short(key) in _UNITS:
-            header["units"] = " ".join(value.split())
-        elif np.ndim(value) == 0 and isinstance(value, (int, float, np.number)):
+            unit = key, " ".join(value.split())
+        elif np.ndim(value) == 0 and isinstance(value, (int, float, np.number, np.ndarray)):
+            number = float(value) if np.asarray(value).dtype.kind in "iuf" else 0.0
             if _short(key) in _STEPS:
-                header["sampling_interval_s"] = f"{float(value):.17g}"
-            elif _short(key) in _RATES and float(value) > 0.0:
-                header["sampling_interval_s"] = f"{1.0 / float(value):.17g}"
-    columns: dict[str, FloatArray] = {}
+                step = number
+            elif _short(key) in _RATES and number > 0.0:
+                step = 1.0 / number
+    return unit, step
+
+
+def _columns(arrays: dict[str, FloatArray]) -> tuple[list[FloatArray], list[Title]]:
+    """Return the columns of all arrays, each (samples,), and their titles."""
+    columns: list[FloatArray] = []
+    titles: list[Title] = []
     for key, array in arrays.items():
-        if _short(key) in _TIMES and array.shape == (points, 1) and key not in chosen:
-            columns["time [s]"] = array[:, 0]
-    for key in chosen:
-        for number, column in enumerate(arrays[key].T, start=1):
-            columns[key if arrays[key].shape[1] == 1 else f"{key}({number})"] = column
-    if len(columns) > 1 and "time [s]" not in columns and "sampling_interval_s" in header:
-        step = float(header["sampling_interval_s"])
-        time: FloatArray = step * np.arange(points, dtype=np.float64)
-        columns = {"time [s]": time, **columns}
-    return header, columns
+        several = array.shape[1] > 1
+        for index, column in enumerate(array.T):
+            columns.append(np.array(column))
+            if several and index == 0 and is_even(column):  # [time, acceleration] under one name
+                titles.append(title_of("time"))
+            else:
+                title = title_of(_short(key))
+                text = f"{key}({index + 1})" if several else key
+                titles.append(replace(title, text=text))
+    return columns, titles
 
 
 def _short(key: str) -> str:

@@ -1,6 +1,7 @@
 """PEER's ``.AT2`` files: four lines of header, then accelerations in g.
 
-The fourth line reads ``NPTS=  4000, DT= .01000 SEC`` or ``4000   0.0100   NPTS, DT``, by age.
+The fourth line reads ``NPTS=  4000, DT= .01000 SEC`` or ``4000   0.0100   NPTS, DT``, by age; text may
+follow, such as the filter's poles.
 """
 
 from __future__ import annotations
@@ -9,20 +10,23 @@ import re
 
 from shake_env.errors import RecordError
 from shake_env.parameters import FloatArray
+from shake_env.records.layout import Layout
 from shake_env.records.record import Record
 from shake_env.records.text import SourceText, number
-from shake_env.records.units import Unit, settle_interval, settle_unit
+from shake_env.records.units import Unit, settle_interval, settle_unit, unit_in_words
 
 _HEADER_LINES = 16  # at most
-_END = r"\s*(?:SECS?|SECONDS)?[.,]?\s*"
+_FLAGS = re.IGNORECASE | re.ASCII
 _COUNTS = (
-    re.compile(rf"\s*NPTS\s*=\s*(\d+)\s*,?\s*DT\s*=\s*(\S+?),?{_END}", re.IGNORECASE | re.ASCII),
-    re.compile(r"\s*(\d+)\s*,?\s+(\S+?),?\s+NPTS\s*,?\s*DT\b.*", re.IGNORECASE | re.ASCII),
+    # Behind the step: nothing, its unit, or its unit and other text.
+    re.compile(
+        r"\s*+NPTS\s*+=\s*+(\d++)\s*+(?:,\s*+)?+DT\s*+=\s*+([^\s,A-DF-Z]++)\s*+"
+        r"(?:(?:SECONDS|SECS?)\b.*+|,\s*+|)",
+        _FLAGS,
+    ),
+    re.compile(r"\s*+(\d++)\s*+(?:,\s*+)?+([^\s,]++)\s*+(?:,\s*+)?+NPTS\s*+(?:,\s*+)?+DT\b.*+", _FLAGS),
 )
-_COUNTED = re.compile(r"[^#%].*NPTS|NPTS")
-_UNITS = re.compile(r"\bUNITS?\s+OF\s+(\S+)", re.IGNORECASE)
-_OTHER = re.compile(r"\b(VELOCITY|DISPLACEMENT)\b", re.IGNORECASE)
-_TOUCHING = re.compile(rb"(?<=[0-9.])(?=[+-])")
+_OTHER = re.compile(r"\b(?:VELOCITY|DISPLACEMENT)\b", re.IGNORECASE)
 
 
 def is_peer(data: bytes) -> bool:
@@ -43,7 +47,7 @@ def parse_peer(
         values is not its count.
     """
     source = SourceText(name, data)
-    row = next((i for i in range(_HEADER_LINES) if _COUNTED.match(source.line(i).upper())), 0)
+    row = next((i for i in range(_HEADER_LINES) if _is_counted(source.line(i))), 0)
     matches = [match for pattern in _COUNTS if (match := pattern.fullmatch(source.line(row)))]
     step_text = matches[0][2] if matches else ""
     if not matches or number(step_text) is None:
@@ -53,12 +57,13 @@ def parse_peer(
     stated = None
     for index in range(row):
         line = source.line(index)
-        if match := _UNITS.search(line):
-            stated, at = match[1], index
+        if (named := unit_in_words(line)) is not None:
+            stated, at = named, index
             if _OTHER.search(line):
                 raise source.error(index, "the file holds no acceleration: give the .AT2 file")
     unit = settle_unit(source.place(row if stated is None else at), stated, units)
-    acceleration = unit.to_si(_values(source, row + 1, points))
+    values = _values(source, row + 1, points)
+    acceleration = unit.to_si(values, out=values)
     if len(acceleration) != points or points < 2:
         raise source.error(
             row, f"the file holds {len(acceleration)} values (2 at least)", f"NPTS {points}"
@@ -73,8 +78,22 @@ def _values(source: SourceText, first: int, points: int) -> FloatArray:
         return source.numbers(first, len(source))
     except RecordError:
         # Fixed columns may touch; then a sign that follows a digit begins the next number.
-        parted = SourceText(source.name, _TOUCHING.sub(b" ", source.data))
-        counts = [len(parted.line(i).split()) for i in range(first, len(parted))]
-        if sum(counts) != points or any(c != counts[0] for c in counts[:-1]):
+        last = len(source) - 1
+        per_line = len(_touching(source, first))
+        if per_line * (last - first) + len(_touching(source, last)) != points:
             raise
-        return parted.numbers(first, len(parted))
+        try:
+            source.numbers(first, last, per_line=per_line, touching=True)
+        except RecordError:
+            pass
+        else:
+            return source.numbers(first, len(source), touching=True)
+        raise
+
+
+def _touching(source: SourceText, index: int) -> list[bytes]:
+    return Layout(touching=True).text(source.line(index).encode()).split()
+
+
+def _is_counted(line: str) -> bool:
+    return "NPTS" in line.upper() and line[:1] not in ("#", "%")

@@ -30,12 +30,12 @@ class Record:
     digest: bytes = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        acceleration = np.array(self.acceleration, dtype=np.float64)
+        acceleration = _own(self.acceleration)
         if acceleration.ndim != 1 or len(acceleration) < 2:
             raise RecordError(
                 f"{self.name}, acceleration shape", acceleration.shape, "must be (points,), 2 at least"
             )
-        if not np.isfinite(acceleration).all():
+        if not np.isfinite([np.min(acceleration), np.max(acceleration)]).all():  # no array of flags
             index = int(np.argmin(np.isfinite(acceleration)))
             raise RecordError(
                 f"{self.name}, sample {index}", float(acceleration[index]), "must be a finite number"
@@ -46,9 +46,21 @@ class Record:
             )
         acceleration.flags.writeable = False
         object.__setattr__(self, "acceleration", acceleration)
-        object.__setattr__(self, "digest", hashlib.sha256(acceleration.tobytes()).digest())
+        object.__setattr__(self, "digest", hashlib.sha256(acceleration.data).digest())
 
     @property
     def duration(self) -> float:
         """Time from the first to the last sample [s]."""
         return (len(self.acceleration) - 1) * self.sampling_interval
+
+
+def _own(values: FloatArray) -> FloatArray:
+    """Return `values` as an array of the record's own.
+
+    An array that owns its memory and that its maker has set read-only is taken as it is: the readers
+    hand over such arrays, so that a large record is in memory once.
+    """
+    given = isinstance(values, np.ndarray) and values.dtype == np.float64
+    if given and values.flags.owndata and values.flags.c_contiguous and not values.flags.writeable:
+        return values
+    return np.array(values, dtype=np.float64)

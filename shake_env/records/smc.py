@@ -46,7 +46,7 @@ def parse_smc(
     RecordError
         If the file holds no acceleration, or counts or peaks in its header are not the data's.
     """
-    source = SourceText(name, data.rstrip(b"\x1a"))
+    source = SourceText(name, data)
     kind = _KINDS.get(" ".join(lower(source, 0).split()))
     if kind is None:
         raise source.error(0, "the file holds no acceleration: give the accelerogram")

@@ -33,14 +33,15 @@ def parse_spreadsheet(
     *,
     units: Unit | None = None,
     sampling_interval: float | None = None,
+    column: str | int | None = None,
     table: str | None = None,
 ) -> tuple[Record, ...]:
     """Read a workbook: one record a column of acceleration.
 
     Parameters
     ----------
-    name, data, units, sampling_interval
-        As for every reader.
+    name, data, units, sampling_interval, column
+        As for :func:`shake_env.records.columns.parse_columns`.
     table
         Sheet to read; None where only one holds anything.
 
@@ -80,7 +81,9 @@ def parse_spreadsheet(
         raise RecordError(name, table, f"is no filled sheet; there are: {', '.join(filled)}")
     title = filled[0] if table is None else table
     place = f"{name}, sheet {title}"
-    records = parse_columns(place, texts[title], units=units, sampling_interval=sampling_interval)
+    records = parse_columns(
+        place, texts[title], units=units, sampling_interval=sampling_interval, column=column
+    )
     others = [f"sheet {other}" for other in filled if other != title]
     return naming(labelled(records, f"workbook, sheet {title}"), others)
 

@@ -1,10 +1,15 @@
-"""Numbers out of text files: parsed all at once, and explained by line when something does not fit."""
+"""Numbers out of text files: parsed in blocks, and explained by line when something does not fit.
+
+Every pattern is linear in the length of its text: a repeated part is possessive or is followed by
+something that it cannot hold (`tests/test_hostile_records.py` checks that).
+"""
 
 from __future__ import annotations
 
 import math
 import re
-import warnings
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import NoReturn
 
 import numpy as np
@@ -12,13 +17,18 @@ from numpy.typing import NDArray
 
 from shake_env.errors import RecordError
 from shake_env.parameters import FloatArray
+from shake_env.records.layout import Layout, parsed
 
 Positions = NDArray[np.int64]
 # re.ASCII, for Python's own digits include other alphabets'.
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
-_TOKEN = re.compile(r"[^\s,;]+")
-_ROWS_AT_ONCE = 32_768
+NUMBER = re.compile(r"[+-]?+(?:\d++(?:\.\d*+)?+|\.\d++)(?:[eE][+-]?+\d++)?+", re.ASCII)
+WHOLE = re.compile(r"[+-]?+\d++", re.ASCII)
+LONGEST_LINE = 65_536  # bytes
+_TOKEN = re.compile(r"[^\s,;]++")
+_TOKEN_WITH_COMMA = re.compile(r"[^\s;]++")
+_BLOCK = 65_536  # bytes parsed at once
+_ROWS_AT_ONCE = 256
+_INDEXED = 64  # lines: one of so many has its position stored
 
 
 def number(text: str) -> float | None:
@@ -31,27 +41,64 @@ def number(text: str) -> float | None:
 
 
 class SourceText:
-    """A file's bytes with an index of its lines, counted from 0 inside and from 1 in messages."""
+    """A file's bytes with an index of its lines, counted from 0 inside and from 1 in messages.
+
+    The bytes 1A at its end, with which DOS fills a file, are left out. The index is sparse, so that the
+    memory that reading takes stays a small multiple of the file.
+
+    Raises
+    ------
+    RecordError
+        If a line is longer than `LONGEST_LINE`.
+    """
 
     def __init__(self, name: str, data: bytes) -> None:
-        self.name, self.data = name, data
-        self._codes = np.frombuffer(data, dtype=np.uint8)
-        breaks = np.flatnonzero(self._codes == ord("\n"))
-        self.starts: Positions = np.concatenate([[0], breaks + 1])
-        self.ends: Positions = np.concatenate([breaks, [len(data)]])
-        self.terminated = data.endswith(b"\n")
-        filled = len(data.rstrip())
-        self.filled = int(np.searchsorted(self.starts, filled, side="left")) if filled else 0
+        self.name, self.data = name, data.rstrip(b"\x1a")
+        self._codes = np.frombuffer(self.data, dtype=np.uint8)
+        self._index = self._indexed()
+        self.terminated = self.data.endswith(b"\n")
+        filled = len(self.data.rstrip())
+        self.filled = self.data.count(b"\n", 0, filled) + 1 if filled else 0
+
+    def _indexed(self) -> Positions:
+        """Return where every line whose number is a multiple of `_INDEXED` begins."""
+        found = [np.zeros(1, dtype=np.int64)]
+        lines, last = 1, 0  # lines begun, where the last one begins
+        for begin in range(0, len(self._codes), 1 << 20):
+            starts = np.flatnonzero(self._codes[begin : begin + (1 << 20)] == ord("\n")) + begin + 1
+            lengths = np.diff(starts, prepend=last)
+            if len(starts) and int(np.max(lengths)) > LONGEST_LINE:
+                self._refuse_length(lines + int(np.argmax(lengths)), int(np.max(lengths)))
+            found.append(starts[(lines + np.arange(len(starts))) % _INDEXED == 0])
+            lines, last = lines + len(starts), int(starts[-1]) if len(starts) else last
+        if len(self._codes) - last > LONGEST_LINE:
+            self._refuse_length(lines, len(self._codes) - last)
+        self._lines = lines
+        return np.concatenate(found)
+
+    def _refuse_length(self, line: int, length: int) -> NoReturn:
+        remedy = f"a line may have {LONGEST_LINE} bytes: put the numbers on lines of their own"
+        raise RecordError(f"{self.name}, line {line}", f"{length} bytes", remedy)
 
     def __len__(self) -> int:
         """Return the number of lines up to the last one that is not blank."""
         return self.filled
 
+    def bounds(self, first: int, last: int) -> Positions:
+        """Return where lines `first` to `last` - 1 begin, and where the last of them ends."""
+        block, after = first // _INDEXED, last // _INDEXED + 1
+        begin = int(self._index[block])
+        end = int(self._index[after]) if after < len(self._index) else len(self._codes)
+        starts = np.flatnonzero(self._codes[begin:end] == ord("\n")) + begin + 1
+        starts = np.concatenate([[begin], starts, [len(self._codes)]])
+        return starts[first - block * _INDEXED :][: last - first + 1]
+
     def line(self, index: int) -> str:
         """Return a line without its end; one past the file is empty."""
-        if index >= len(self.starts):
+        if index >= self._lines:
             return ""
-        line = self.data[self.starts[index] : self.ends[index]].rstrip(b"\r")
+        begin, end = self.bounds(index, index + 1)
+        line = self.data[begin:end].rstrip(b"\r\n")
         try:
             return line.decode("utf-8")
         except UnicodeDecodeError:
@@ -74,6 +121,7 @@ class SourceText:
         per_line: int | None = None,
         separator: str = "",
         whole: bool = False,
+        touching: bool = False,
     ) -> FloatArray:
         """Return all numbers of lines `first` to `last` - 1, which blanks or `separator` part.
 
@@ -87,92 +135,122 @@ class SourceText:
             One character that parts the numbers of a line, blanks allowed about it.
         whole
             Whether only whole numbers are allowed.
+        touching
+            Whether a sign that follows a digit begins the next number, as in columns that touch.
 
         Raises
         ------
         RecordError
             If something is not a finite number, or a line holds another count of them.
         """
-        if first >= last:
-            return np.empty(0)
-        begin, end = int(self.starts[first]), int(self.ends[last - 1])
-        block = self.data[begin:end]
-        allowed = b"0123456789+- \t\r\n" + separator.encode() + (b"" if whole else b".eE")
-        if block.translate(None, allowed):
-            self._explain(first, last, per_line, separator, whole)
-        tokens = self._token_starts(begin, end, separator)
-        values = _parsed(block.replace(separator.encode(), b" ") if separator else block)
-        sound = values is not None and len(values) == len(tokens) and bool(np.isfinite(values).all())
-        if values is None or not sound or not self._laid_out(tokens, first, last, per_line, separator):
-            self._explain(first, last, per_line, separator, whole)
-        self._check_end(first, last, bool(separator) or per_line is not None)
+        layout = Layout(per_line, separator, whole=whole, touching=touching)
+        if per_line is None:
+            count = sum(
+                len(layout.token_starts(layout.text(b))) for _, _, b in self._blocks(first, last)
+            )
+        else:
+            count = max(last - first, 0) * per_line
+        values, filled = np.empty(count), 0
+        for part in self._parsed_blocks(first, last, layout):
+            values[filled : filled + len(part)] = part
+            filled += len(part)
+        self._check_end(first, last, layout)
         return values
 
-    def _token_starts(self, begin: int, end: int, separator: str) -> Positions:
-        codes = self._codes[begin:end]
-        blank = codes <= ord(" ")
-        if separator:
-            blank |= codes == ord(separator)
-        starts = ~blank
-        starts[1:] &= blank[:-1]
-        return np.flatnonzero(starts) + begin
+    def columns(self, first: int, last: int, layout: Layout) -> list[FloatArray]:
+        """Return the columns of lines `first` to `last` - 1, each (lines,) and its own array.
 
-    def _laid_out(
-        self, tokens: Positions, first: int, last: int, per_line: int | None, separator: str
-    ) -> bool:
-        if per_line is None:
-            return True
-        if len(tokens) != (last - first) * per_line:
-            return False
-        table = tokens.reshape(-1, per_line)
-        if not (
-            np.all(table[:, 0] >= self.starts[first:last])
-            and np.all(table[:, -1] < self.ends[first:last])
-        ):
-            return False
-        if not separator.strip():
-            return True
-        begin, end = int(self.starts[first]), int(self.ends[last - 1])
-        marks = np.flatnonzero(self._codes[begin:end] == ord(separator)) + begin
-        if len(marks) != (last - first) * (per_line - 1):
-            return False
-        if per_line == 1:
-            return True
-        between = marks.reshape(-1, per_line - 1)
-        return bool(np.all(between > table[:, :-1]) and np.all(between < table[:, 1:]))
+        Raises
+        ------
+        RecordError
+            If something is not a finite number, or a line holds another count of them.
+        """
+        width = layout.per_line
+        assert width is not None
+        columns = [np.empty(max(last - first, 0)) for _ in range(width)]
+        filled = 0
+        for part in self._parsed_blocks(first, last, layout):
+            rows = len(part) // width
+            for column, values in enumerate(columns):
+                values[filled : filled + rows] = part[column::width]
+            filled += rows
+        self._check_end(first, last, layout)
+        return columns
 
-    def _explain(
-        self, first: int, last: int, per_line: int | None, separator: str, whole: bool
-    ) -> NoReturn:
+    def series(self, first: int, last: int, layout: Layout) -> FloatArray:
+        """Return the numbers of lines `first` to `last` - 1, the last of which may be shorter.
+
+        Raises
+        ------
+        RecordError
+            As :meth:`columns` does.
+        """
+        final = len(layout.parts(self.line(last - 1)))
+        width = layout.per_line or final
+        values, filled = np.empty((last - first - 1) * width + final), 0
+        for begin, end, ending in (
+            (first, last - 1, layout), (last - 1, last, replace(layout, per_line=final)),
+        ):  # fmt: skip
+            for part in self._parsed_blocks(begin, end, ending):
+                values[filled : filled + len(part)] = part
+                filled += len(part)
+        self._check_end(first, last, layout)
+        return values
+
+    def _blocks(self, first: int, last: int) -> Iterator[tuple[int, int, bytes]]:
+        """Yield blocks of whole lines: the first line's number, that behind the last, the bytes."""
+        if first >= last:
+            return
+        begin, end = int(self.bounds(first, first + 1)[0]), int(self.bounds(last - 1, last)[-1])
+        while begin < end:
+            cut = self.data.find(b"\n", begin + _BLOCK, end) + 1 or end
+            block = self.data[begin:cut]
+            after = first + block.count(b"\n") + (not block.endswith(b"\n"))
+            yield first, after, block
+            first, begin = after, cut
+
+    def _parsed_blocks(self, first: int, last: int, layout: Layout) -> Iterator[FloatArray]:
+        for begin, end, raw in self._blocks(first, last):
+            values = layout.parse(raw, end - begin)
+            if values is None:
+                self._explain(begin, last, layout)
+            yield values
+
+    def _explain(self, first: int, last: int, layout: Layout) -> NoReturn:
         """Raise the error of the first line at fault."""
-        pattern = WHOLE if whole else NUMBER
+        pattern = WHOLE if layout.whole else NUMBER
         for index in range(first, last):
             line = self.line(index)
-            parts = line.split(separator) if separator.strip() else line.split()
-            if per_line is not None and len(parts) != per_line:
+            if layout.touching:
+                line = layout.text(line.encode()).decode()
+            parts = layout.parts(line)
+            if layout.per_line is not None and len(parts) != layout.per_line:
                 what = "is blank" if not line.strip() else f"holds {len(parts)} columns"
-                raise self.error(index, f"{what}; expected {per_line} on every line")
-            for part in map(str.strip, parts):
+                raise self.error(index, f"{what}; expected {layout.per_line} on every line")
+            for part in parts:
                 if not pattern.fullmatch(part):
-                    kind = "a whole number" if whole else "a number"
+                    kind = "a whole number" if layout.whole else "a number"
                     raise self.error(index, f"is not {kind}", part[:40])
                 if not math.isfinite(float(part)):
                     raise self.error(index, "is not a finite number", part[:40])
         raise self.error(first, "the numbers from this line on cannot be read")
 
-    def _check_end(self, first: int, last: int, one_column: bool) -> None:
+    def _check_end(self, first: int, last: int, layout: Layout) -> None:
         """Refuse a last number that may be cut off: no line end, and not as long as the others."""
-        if self.terminated or last < self.filled or self.data[-1:].isspace():
+        if first >= last or self.terminated or last < self.filled or self.data[-1:].isspace():
             return
-        lines = [list(_TOKEN.finditer(self.line(i))) for i in range(max(first, last - 9), last)]
+        one_column = bool(layout.separator) or layout.per_line is not None
+        token = _TOKEN_WITH_COMMA if layout.decimal_comma else _TOKEN
+        lines = [list(token.finditer(self.line(i))) for i in range(max(first, last - 9), last)]
         final = lines[-1][-1]
-        fellows = [line[-1] for line in lines[:-1]] + ([] if one_column else lines[-1][:-1])
-        if "." in final[0]:
-            tail = len(final[0].partition(".")[2])
-            whole = all("." in f[0] and len(f[0].partition(".")[2]) == tail for f in fellows)
+        others = [line[-1] for line in lines[:-1]] + ([] if one_column else lines[-1][:-1])
+        point = "," if layout.decimal_comma else "."
+        if point in final[0]:
+            printed = [other[0].replace(point, ".") for other in others]
+            whole = bool(others) and _as_long(final[0].replace(point, "."), printed)
         else:  # whole numbers, set flush right
-            whole = len(lines) > 1 and final.end() in {token.end() for token in lines[-2]}
-        if not (whole and fellows):
+            whole = len(lines) > 1 and final.end() in {other.end() for other in lines[-2]}
+        if not whole or not others:
             remedy = "the file ends without a line end and may be cut off: add one if it is whole"
             raise self.error(last - 1, remedy, final[0][:40])
 
@@ -205,7 +283,7 @@ class SourceText:
     def _fields(
         self, first: int, rows: int, count: int, per_line: int, width: int, form: str
     ) -> FloatArray:
-        starts, ends = self.starts[first : first + rows], self.ends[first : first + rows]
+        starts, ends = (bounds := self.bounds(first, first + rows))[:-1], bounds[1:]
         longest, used = int(np.max(ends - starts)), per_line * width
         if longest > 2 * used + 80:
             index = first + int(np.argmax(ends - starts))
@@ -241,20 +319,29 @@ class SourceText:
             at_field = f"in field {int(spoilt[0]) % per_line + 1} of {per_line}"
             what = "is no number" if spoilt[0] < count else f"is more than {count} points"
             raise self.error(first + field_row, f"{what}, {at_field}, {width} columns each", text)
-        values = _parsed(table.reshape(-1)[: count * (width + 1)].tobytes())
+        values = parsed(table.reshape(-1)[: count * (width + 1)].tobytes())
         if values is None or len(values) != count:
             raise self.error(first, f"cannot be read in columns of {width} characters")
         return values
 
 
-def _parsed(block: bytes) -> FloatArray | None:
-    """Return the numbers in a block of text, or None where something is not a number."""
-    if not block.strip():  # which fromstring would read as -1
-        return np.empty(0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)  # how numpy before 2.4 refuses
-        try:
-            values: FloatArray = np.fromstring(block, dtype=np.float64, sep=" ")
-        except (ValueError, DeprecationWarning):
-            return None
-    return values
+def _as_long(final: str, others: list[str]) -> bool:
+    """Return whether a last number is whole, judged by how the others are printed."""
+    mantissa, exponent = _printed(final)
+    printed = [_printed(other) for other in others]
+    digits = {len(m.partition(".")[2]) for m, _ in printed}
+    exponents = {len(e) for _, e in printed}
+    if exponent:  # a mantissa that an exponent follows is whole
+        return exponents != {0} and len(exponent) >= max(exponents)
+    decimals = len(mantissa.partition(".")[2])
+    if exponents != {0} or not all("." in m for m, _ in printed):
+        return False
+    # Where lengths differ, as in the shortest decimal form, what a cut takes off is beyond the
+    # shortest of them.
+    return decimals >= min(digits) if len(digits) > 1 else digits == {decimals}
+
+
+def _printed(text: str) -> tuple[str, str]:
+    """Return mantissa and exponent as printed."""
+    mantissa, _, exponent = text.lower().partition("e")
+    return mantissa, exponent.lstrip("+-")

@@ -1,4 +1,8 @@
-"""Units of acceleration, as files and callers write them; SI from here on."""
+"""Units of acceleration, as files and callers write them; SI from here on.
+
+All spellings stand in this module. A spelling is compared in lower case, without blanks, brackets,
+carets and points, and with plain digits for superscripts.
+"""
 
 from __future__ import annotations
 
@@ -11,41 +15,130 @@ import numpy as np
 from shake_env.errors import ParameterError, RecordError
 from shake_env.parameters import GRAVITY, FloatArray
 
-KNOWN = "g, m/s^2, cm/s^2, gal, mm/s^2"
-_SPELLINGS = {
-    "g": ("g",),
-    "m/s^2": ("m/s2", "m/s/s", "m/sec2", "m/sec/sec"),
-    "cm/s^2": ("cm/s2", "cm/s/s", "cm/sec2", "cm/sec/sec", "gal", "gals"),
-    "mm/s^2": ("mm/s2", "mm/s/s", "mm/sec2", "mm/sec/sec"),
+KNOWN = "g, %g, mg, m/s^2, cm/s^2 (gal), mm/s^2, in/s^2, ft/s^2"
+# Multiplier and divisor to m/s^2: division by a power of ten rounds once, a factor of 0.01 twice.
+_TO_SI = {
+    "g": (GRAVITY, 1.0),
+    "%g": (GRAVITY, 100.0),
+    "mg": (GRAVITY, 1000.0),
+    "m/s^2": (1.0, 1.0),
+    "cm/s^2": (1.0, 100.0),
+    "mm/s^2": (1.0, 1000.0),
+    "in/s^2": (0.0254, 1.0),
+    "ft/s^2": (0.3048, 1.0),
 }
-_CANONICAL = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
-_FACTOR = re.compile(r"\s*(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)\s+(\S.*?)\s*")
+_LENGTHS = {
+    "m": ("m", "meter", "metre", "meters", "metres"),
+    "cm": ("cm", "centimeter", "centimetre", "centimeters", "centimetres"),
+    "mm": ("mm", "millimeter", "millimetre", "millimeters", "millimetres"),
+    "in": ("in", "inch", "inches"),
+    "ft": ("ft", "foot", "feet"),
+}
+_TIMES = ("s", "sec", "second", "seconds")
+_SQUARED = (
+    "{0}/{1}2", "{0}/{1}/{1}", "{0}{1}-2", "{0}*{1}-2", "{0}/{1}*{1}", "{0}{1}2", "{0}/{1}squared",
+    "{0}per{1}2", "{0}per{1}squared", "{0}/sq{1}", "{0}per{1}per{1}",
+)  # fmt: skip
+_ONCE = ("{0}/{1}", "{0}{1}-1", "{0}*{1}-1", "{0}per{1}")
+_NAMED = {
+    "g": ("g", "g's", "gs"),
+    "%g": ("%g", "%ofg", "g%", "percentg", "percentofg", "pctg"),
+    "mg": ("mg", "milli-g", "millig"),
+    "cm/s^2": ("gal", "gals"),
+}
+_OTHER = {
+    "time": (*_TIMES, "secs", "ms", "msec", "millisecond", "milliseconds", "min", "minutes", "h"),
+    "counts": ("count", "counts", "cts", "digit", "digits", "lsb"),
+    "another quantity": (
+        "v", "mv", "volt", "volts", "a", "ma", "n", "kn", "mn", "lbf", "kip", "pa", "kpa", "mpa", "bar",
+        "psi", "deg", "degree", "degrees", "rad", "rad/s", "rad/s2", "hz", "c", "degc", "%", "-", "km",
+        "microstrain", "strain", "nm", "knm", "w", "kw", "l/min", "um",
+    ),
+}  # fmt: skip
+
+
+def _table() -> dict[str, tuple[str, str]]:
+    """Return the kind of quantity and the unit's canonical name by spelling."""
+    table: dict[str, tuple[str, str]] = {}
+    for kind, spellings in _OTHER.items():
+        table.update({spelling: (kind, spelling) for spelling in spellings})
+    for length, words in _LENGTHS.items():
+        for word in words:
+            table[word] = "displacement", length
+            for time in _TIMES:
+                table.update({f.format(word, time): ("velocity", f"{length}/s") for f in _ONCE})
+                table.update({f.format(word, time): ("acceleration", f"{length}/s^2") for f in _SQUARED})
+    for name, spellings in _NAMED.items():
+        table.update({spelling: ("acceleration", name) for spelling in spellings})
+    return table
+
+
+_UNITS = _table()
+_PLAIN = str.maketrans(
+    {"\xb2": "2", "\xb9": "1", "\u207b": "-", "\u2212": "-", "\u2013": "-", "\xb7": "*", "\u22c5": "*",
+     "\u2044": "/", "\u2215": "/", "\xb0": "deg", "\xb5": "u", "\u03bc": "u",
+     **dict.fromkeys(" \t^(){}[].,\"'_", None)}
+)  # fmt: skip
+_FACTOR = re.compile(
+    r"\s*+(\d++(?:\.\d*+)?+(?:[eE][+-]?+\d++)?+|\.\d++(?:[eE][+-]?+\d++)?+)\s++(\S.*+)", re.ASCII
+)
+_LONGEST = 40  # characters of a unit
+_OF_UNITS = {"of", "are", "is", "in", ":", "="}
 
 
 @dataclass(frozen=True)
 class Unit:
     """A unit of acceleration, or a multiple of one (a count, by its sensitivity)."""
 
-    name: str  # canonical: g, m/s^2, cm/s^2 or mm/s^2
+    name: str  # canonical, as in `KNOWN`
     factor: float = 1.0
 
-    def to_si(self, values: FloatArray) -> FloatArray:
-        """Return `values` (...) in m/s^2."""
-        scaled: FloatArray = values if self.factor == 1.0 else values * self.factor
-        # Division by a power of ten rounds once; a factor of 0.01 would round twice.
-        if self.name == "g":
-            return scaled * GRAVITY
-        return scaled / {"m/s^2": 1.0, "cm/s^2": 100.0, "mm/s^2": 1000.0}[self.name]
+    def to_si(self, values: FloatArray, *, out: FloatArray | None = None) -> FloatArray:
+        """Return `values` (...) in m/s^2, in the array `out` where one is given."""
+        multiplier, divisor = _TO_SI[self.name]
+        scaled: FloatArray = values if self.factor == 1.0 else np.multiply(values, self.factor, out=out)
+        if multiplier != 1.0:
+            scaled = np.multiply(scaled, multiplier, out=out)
+        if divisor != 1.0 or scaled is values:
+            scaled = np.divide(scaled, divisor, out=out)
+        return scaled
 
     def __str__(self) -> str:
         return self.name if self.factor == 1.0 else f"{self.factor!r} {self.name}"
 
 
+def quantity_of(text: str) -> tuple[str, str] | None:
+    """Return the kind of quantity that a unit measures and the unit's name, or None.
+
+    Kinds are acceleration, velocity, displacement, time, counts and another quantity.
+    """
+    if len(text) > _LONGEST:
+        return None
+    plain = text.lower().replace("**", "").translate(_PLAIN)
+    return _UNITS.get(plain) or _UNITS.get(plain.replace("*", ""))
+
+
 def unit_named(text: str) -> Unit | None:
-    """Return the unit that `text` spells, or None."""
-    plain = text.strip().strip(".,").lower().replace(" ", "").replace("**", "").replace("^", "")
-    name = _CANONICAL.get(plain.replace("\xb2", "2"))
-    return None if name is None else Unit(name)
+    """Return the unit of acceleration that `text` spells, or None."""
+    quantity = quantity_of(text)
+    return Unit(quantity[1]) if quantity and quantity[0] == "acceleration" else None
+
+
+def unit_in_words(line: str) -> str | None:
+    """Return what a line such as 'The units are (g)' or 'IN UNITS OF G' names as unit, or None."""
+    words = line.replace(":", " : ").replace("=", " = ").split()
+    for place, word in enumerate(words):
+        if word.lower() in ("unit", "units"):
+            rest = words[place + 1 :]
+            while rest and rest[0].lower() in _OF_UNITS:
+                rest = rest[1:]
+            if len(rest) == len(words) - place - 1:
+                continue  # the word alone says nothing
+            for count in range(min(len(rest), 6), 0, -1):  # 'm / s ^ 2' before 'm'
+                if quantity_of(" ".join(rest[:count])):
+                    return " ".join(rest[:count]).strip("()[].,")
+            return rest[0].strip("()[].,") if rest else None
+    return None
 
 
 def unit_asked(text: str | None) -> Unit | None:
@@ -140,7 +233,7 @@ def check_peak(place: str, stated: str, unit: Unit, acceleration: FloatArray) ->
     """
     expected = abs(float(unit.to_si(np.asarray(float(stated)))))
     digit = float(unit.to_si(np.asarray(10.0 ** -len(stated.partition(".")[2]))))
-    found = float(np.max(np.abs(acceleration)))
+    found = max(-float(np.min(acceleration)), float(np.max(acceleration)))
     if not (math.isfinite(expected) and abs(found - expected) <= 0.02 * expected + digit):
         remedy = f"the data's own peak is {found / float(unit.to_si(np.asarray(1.0))):.6g} {unit}"
         raise RecordError(place, f"peak {stated}", f"{remedy}: the file is damaged or its unit wrong")
