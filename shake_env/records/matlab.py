@@ -1,4 +1,4 @@
-"""MATLAB's ``.mat``: variables as columns of a table. Version 5 through scipy, 7.3 through h5py.
+"""MATLAB's ``.mat``: variables as columns of a table. Version 5, and 7.3 through h5py.
 
 Vectors of one length become columns titled by their names, fields of structures by ``name.field``. A
 variable called ``t`` or ``time`` is the time; ``dt`` or ``fs`` the step, ``units`` the unit.
@@ -8,17 +8,16 @@ from __future__ import annotations
 
 import importlib
 import io
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import scipy.io
 
 from shake_env.errors import RecordError
 from shake_env.parameters import FloatArray
 from shake_env.records.header import LARGEST_TABLE, labelled, naming
+from shake_env.records.mat5 import Mat5
 from shake_env.records.record import Record
 from shake_env.records.table import Table
 from shake_env.records.times import is_even
@@ -30,6 +29,7 @@ _TIMES = ("t", "time", "times", "time_s", "t_s")
 _STEPS = ("dt", "step", "time_step", "timestep", "sampling_interval", "sampling_interval_s")
 _RATES = ("fs", "rate", "sampling_rate", "sample_rate", "sampling_frequency")
 _UNITS = ("unit", "units")
+_DIRECTIONS = ("n", "s", "e", "w", "h", "N", "S", "E", "W", "H")
 _DEPTH = 4  # of structures in structures
 _CHANNELS = 64  # columns of one array at most
 
@@ -65,7 +65,7 @@ def parse_matlab(
         If the file cannot be read, the choice is not one, or what is chosen is no acceleration.
     """
     hdf5 = not data.startswith(b"MATLAB 5.0")
-    variables = dict(_flat(_hdf5(name, data) if hdf5 else _scipy(name, data)))
+    variables = dict(_flat(_hdf5(name, data) if hdf5 else Mat5(name, data, LARGEST_TABLE).variables))
     arrays = {key: array for key, value in variables.items() if (array := _array(value)) is not None}
     chosen = _chosen(name, arrays, table)
     times = _times(arrays, chosen)
@@ -86,18 +86,6 @@ def parse_matlab(
     return naming(labelled(records, label), sorted(set(arrays) - set(chosen) - set(times)))
 
 
-def _scipy(name: str, data: bytes) -> Variables:
-    try:
-        sizes = scipy.io.whosmat(io.BytesIO(data))
-        _check_size(name, sum(math.prod(shape) for _, shape, _ in sizes))
-        loaded: Variables = scipy.io.loadmat(io.BytesIO(data), squeeze_me=True, struct_as_record=False)
-    except RecordError:
-        raise
-    except Exception as error:  # what scipy raises on a damaged file is not written down
-        raise _unreadable(name, "scipy", error) from None
-    return {key: value for key, value in loaded.items() if not key.startswith("__")}
-
-
 def _hdf5(name: str, data: bytes) -> Variables:
     try:
         h5py = importlib.import_module("h5py")
@@ -111,7 +99,8 @@ def _hdf5(name: str, data: bytes) -> Variables:
     except RecordError:
         raise
     except Exception as error:  # what h5py raises on a damaged file is not written down
-        raise _unreadable(name, "h5py", error) from None
+        text = f"{type(error).__name__}: {error}"[:200]
+        raise RecordError(name, text, "h5py cannot read it") from None
 
 
 def _hdf5_value(h5py: Any, name: str, group: Any, key: str, depth: int = 0) -> Any:
@@ -135,24 +124,23 @@ def _check_size(name: str, elements: int) -> None:
         raise RecordError(name, f"{elements} elements", f"at most {LARGEST_TABLE} are read")
 
 
-def _unreadable(name: str, reader: str, error: Exception) -> RecordError:
-    return RecordError(name, f"{type(error).__name__}: {error}"[:200], f"{reader} cannot read it")
-
-
 def _flat(variables: Variables, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
     """Yield every variable and every field of a structure by its whole name."""
     for key, value in variables.items():
-        fields = value if isinstance(value, dict) else getattr(value, "__dict__", None)
-        if isinstance(fields, dict) and depth < _DEPTH:
-            own = {k: v for k, v in fields.items() if not k.startswith("_")}
-            yield from _flat(own, f"{prefix}{key}.", depth + 1)
+        if isinstance(value, dict) and depth < _DEPTH:
+            yield from _flat(value, f"{prefix}{key}.", depth + 1)
         else:
             yield prefix + key, value
 
 
 def _array(value: Any) -> FloatArray | None:
     """Return numbers as (samples, columns), or None of anything else."""
-    if not isinstance(value, np.ndarray) or value.dtype.kind not in "iuf" or value.ndim not in (1, 2):
+    if (
+        not isinstance(value, np.ndarray)
+        or value.dtype.kind not in "iuf"
+        or value.ndim not in (1, 2)
+        or not value.size
+    ):
         return None
     table = value.reshape(len(value), -1).astype(np.float64)
     table = table.T if table.shape[0] < table.shape[1] else table
@@ -198,8 +186,8 @@ def _unit_and_step(variables: Variables, structure: str) -> tuple[tuple[str, str
             continue
         if isinstance(value, str) and _short(key) in _UNITS:
             unit = key, " ".join(value.split())
-        elif np.ndim(value) == 0 and isinstance(value, (int, float, np.number, np.ndarray)):
-            number = float(value) if np.asarray(value).dtype.kind in "iuf" else 0.0
+        elif isinstance(value, np.ndarray) and value.size == 1 and value.dtype.kind in "iuf":
+            number = float(value.ravel()[0])
             if _short(key) in _STEPS:
                 step = number
             elif _short(key) in _RATES and number > 0.0:
@@ -219,6 +207,8 @@ def _columns(arrays: dict[str, FloatArray]) -> tuple[list[FloatArray], list[Titl
                 titles.append(title_of("time"))
             else:
                 title = title_of(_short(key))
+                if title.unit in _DIRECTIONS and title.kind != "acceleration":  # acc_n: no newtons
+                    title = title_of(title.text)
                 text = f"{key}({index + 1})" if several else key
                 titles.append(replace(title, text=text))
     return columns, titles
