@@ -11,7 +11,6 @@ from shake_env.errors import RecordError
 from shake_env.parameters import FloatArray
 from shake_env.records.header import (
     Keyed,
-    check_length,
     fortran_form,
     keyed_lines,
     needed,
@@ -56,12 +55,12 @@ def parse_cwa(
     names = _components(source, header, first)
     values = _values(source, header, first)
     table = values.reshape(-1, _COLUMNS)
-    if len(table) < 2:
-        raise source.error(first, "must be followed by another row: 2 samples at least")
     _check_times(source, first, table[:, 0], step)
     at, text = header.get("RecordLength(sec)", (0, ""))
-    if (length := number(text)) is not None:
-        check_length(source, at, len(table), step, length)
+    length = number(text)
+    if length is not None and abs(len(table) - length / step) > 0.5:  # what else tells a lost row
+        remedy = f"{len(table)} samples at {step:g} s last {len(table) * step:g} s"
+        raise source.error(at, remedy, f"length {length:g} s")
     records = []
     for column, component in enumerate(names, start=1):
         acceleration = unit.to_si(table[:, column])
@@ -88,6 +87,8 @@ def _components(source: SourceText, header: Keyed, last: int) -> list[str]:
 
 def _values(source: SourceText, header: Keyed, first: int) -> FloatArray:
     at, text = header.get("Data", (first, ""))
+    if len(source) - first < 2:
+        raise source.error(at, "no rows of data follow the header: 2 samples at least")
     if not text:
         return source.numbers(first, len(source), per_line=_COLUMNS)
     form = fortran_form(f"({text.split()[0]})")
