@@ -27,9 +27,14 @@ class MotionOptions:
     """How a motion file is read and prepared."""
 
     units: str | None = None
-    """Unit of a file that states none: g, m/s^2, cm/s^2, gal, mm/s^2; of counts: '4.2e-7 m/s^2'."""
+    """Unit of a file that states none: g, %g, mg, m/s^2, cm/s^2 or gal, mm/s^2, in/s^2, ft/s^2; of
+    counts: '4.2e-7 m/s^2'."""
     sampling_interval: float | None = None
     """Step of a file that states none [s]."""
+    column: str | None = None
+    """The one column to take: its title, or its number in the file from 1 on."""
+    allow_large: bool = False
+    """Accept a peak above 3 g where --units gave the unit."""
     table: str | None = None
     """Variable of a .mat file or sheet of a workbook, where it holds several."""
     allow_seismometers: bool = False
@@ -51,6 +56,8 @@ class MotionOptions:
             path,
             units=self.units,
             sampling_interval=self.sampling_interval,
+            column=self.column,
+            allow_large=self.allow_large,
             table=self.table,
             allow_seismometers=self.allow_seismometers,
         )
@@ -70,6 +77,14 @@ class MotionOptions:
         return TableCapacity.of(
             scenario.actuator, scenario.specimen, displacement=self.stroke, velocity=self.velocity
         )
+
+
+def reading(record: Record) -> str:
+    """Return the format of a record's file and, of a table, what each column was taken for."""
+    attribution = dict(record.attribution)
+    form = attribution.get("format", "embedded format")
+    columns = attribution.get("columns read as")
+    return f"{form} ({columns})" if columns else form
 
 
 @dataclass(frozen=True)

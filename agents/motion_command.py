@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 import shake_env
-from agents.motion_channels import Channel, MotionOptions, channels
+from agents.motion_channels import Channel, MotionOptions, channels, reading
 from shake_env.motion import RecordedMotion
 from shake_env.overrides import make_scenario
 from shake_env.preparation import (
@@ -38,7 +38,9 @@ def motion_earthquakes(
     earthquakes: list[Earthquake] = []
     capacity, amplitude = options.capacity(scenario), record_amplitude(scenario)
     for path in paths:
-        for record in options.read(path):
+        records = options.read(path)
+        console.print(escape(f"{path.name}: {reading(records[0])}"))
+        for record in records:
             plain = options.motion(record)
             fit = fit_amplitude(plain, capacity, physics_step=scenario.physics_step)
             factor = amplitude * (fit.factor if scale else 1.0)
@@ -119,7 +121,7 @@ def print_channels(
     console: Console,
 ) -> None:
     """Print what a file holds for a person."""
-    form = dict(found[0].record.attribution).get("format", "embedded format")
+    form = reading(found[0].record)
     number = f"{len(found)} channel{'s' if len(found) > 1 else ''}"
     console.print(escape(f"{file.name}: {form}, {number}"))
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))

@@ -64,8 +64,8 @@ class SourceText:
         """Return where every line whose number is a multiple of `_INDEXED` begins."""
         found = [np.zeros(1, dtype=np.int64)]
         lines, last = 1, 0  # lines begun, where the last one begins
-        for begin in range(0, len(self._codes), 1 << 20):
-            starts = np.flatnonzero(self._codes[begin : begin + (1 << 20)] == ord("\n")) + begin + 1
+        for begin in range(0, len(self._codes), _BLOCK):
+            starts = np.flatnonzero(self._codes[begin : begin + _BLOCK] == ord("\n")) + begin + 1
             lengths = np.diff(starts, prepend=last)
             if len(starts) and int(np.max(lengths)) > LONGEST_LINE:
                 self._refuse_length(lines + int(np.argmax(lengths)), int(np.max(lengths)))
