@@ -28,7 +28,15 @@ def esm_text(values, *, stream="HNE", kind="ACCELERATION", unit="cm/s^2", **chan
         "STATION_NAME": "Nowhere: hill", "MAGNITUDE_W": "", "SAMPLING_INTERVAL_S": f"{STEP:.6f}",
         "NDATA": len(values), "DURATION_S": f"{len(values) * STEP:.6f}", "STREAM": stream,
         "UNITS": unit, "PGA_CM/S^2": shown(values, 6), "HEADER_FORMAT": "DYNA 1.2",
-        "DATA_TYPE": kind, "USER5": "", **changed,
+        "DATA_TYPE": kind, "USER5": "",
+        "DATE_TIME_FIRST_SAMPLE_YYYYMMDD_HHMMSS": "20200101_000001.000",
+        "DATA_TIMESTAMP_YYYYMMDD_HHMMSS": "20200102_000000.000",
+        "INSTRUMENT": "sensor = none | digitizer = none", "STATION_LATITUDE_DEGREE": "40.1",
+        "STATION_LONGITUDE_DEGREE": "20.1", "STATION_ELEVATION_M": "1", "FILTER_TYPE": "BUTTERWORTH",
+        "FILTER_ORDER": "2", "LOW_CUT_FREQUENCY_HZ": "0.1", "HIGH_CUT_FREQUENCY_HZ": "30.0",
+        "INSTRUMENTAL_FREQUENCY_HZ": "", "INSTRUMENTAL_DAMPING": "", "PROCESSING": "manual",
+        "BASELINE_CORRECTION": "BASELINE REMOVED",
+        **{f"USER{i}": "" for i in range(6, 41)}, **changed,
     }  # fmt: skip
     head = "".join(f"{key}: {text}\n" for key, text in header.items())
     return head + "".join(f"{v:.6f}\n" for v in values)
@@ -43,6 +51,9 @@ def cosmos_text(
     whole = [-999] * 100
     whole[:4] = stage, parameter, code, 120
     real = [-999.0] * 100
+    whole[10:14] = 5, 5, 2, 5
+    whole[39], whole[41:45], whole[53] = 2020, [1, 1, 0, 0], 90
+    real[0], real[1], real[29] = 40.1, -120.1, 1.0
     real[33], real[61], real[62] = STEP, 1000 * STEP, n * STEP
     real[63] = changed.get("peak", max(values, key=abs))
     comments = ["| made up"] + ([f"|<SCNL>AAA.{scnl}.XX.--"] if scnl else [])
@@ -110,24 +121,29 @@ def afad_text(values, **changed):
     rows = "".join(f"{a:12.6f} {b:12.6f} {c:12.6f}\n" for a, b, c in zip(*columns, strict=True))
     return (
         "STRONG GROUND MOTION RECORDS OF TURKIYE\nPLACE                   : NOWHERE\n"
-        "EARTHQUAKE DATE         : 2020/01/01 00:00:00 (GMT)\nSTATION ID              : 0000\n"
-        "STATION ALTITUDE (m)    : \nRECORD TIME             : 01/01/2020 00:00:00.0 (GMT)\n"
+        "EARTHQUAKE DATE         : 2020/01/01 00:00:00 (GMT)\n"
+        "EPICENTER COORDINATES   : 40.00000N-30.00000E\nEARTHQUAKE DEPTH (km)   : 10.00\n"
+        "EARTHQUAKE MAGNITUDE    : 5.0 Mw\nSTATION ID              : 0000\n"
+        "STATION COORDINATES     : 40.10000N-30.10000E\nSTATION ALTITUDE (m)    : \n"
+        "RECORDER TYPE           : none\nRECORDER SERIAL NO      : 1\n"
+        "RECORD TIME             : 01/01/2020 00:00:00.000000 (GMT)\n"
         f"NUMBER OF DATA          : {changed.get('points', len(values))}\n"
         f"SAMPLING INTERVAL (sec) : {STEP}\nRAW PGA VALUES (gal)    : {peaks}\n"
-        f"Copyright NOBODY\n       N-S          E-W          U-D\n{rows}"
+        f"Copyright NOBODY\nNOBODY\n       N-S          E-W          U-D\n{rows}"
     )
 
 
 def geonet_component(values, name="N90E", volume=1, **changed):
     n = len(values)
     whole = [0] * 40
+    whole[8:10], whole[18:20], whole[38:40] = [2020, 1], [1, 0], [2, 1000]
     whole[30 if volume == 1 else 33] = changed.get("points", n)
     blocks = fortran(values, 10, 8, 1)
     if volume == 2:
         whole[34], whole[35] = n, n
         blocks += reals(values / 20, 10, 8, 2) + reals(values / 300, 10, 8, 3)
     real = [0.0] * 60
-    real[24], real[25] = 0.005, STEP
+    real[0], real[24], real[25] = 200.0, 0.005, STEP
     scale = (
         f"Raw readings in units of 1.00 mm/s/s  at intervals of {STEP:.3f} s"
         if volume == 1
@@ -166,8 +182,11 @@ def cwa_text(values, *, data="4F10.3", rate=100, **changed):
         for i, row in enumerate(zip(*columns, strict=True))
     )
     return (
-        "#Earthquake Information\n#Origin Time(GMT+08): 2020/01/01-00:00:00\n#Depth(km): 10.0\n\n"
-        "#Station Information\n#StationCode: AAA\n#InstrumentKind: FBA\n"
+        "#Earthquake Information\n#Origin Time(GMT+08): 2020/01/01-00:00:00\n"
+        "#EpicenterLongitude(E): 121.0\n"
+        "#EpicenterLatitude(N): 24.0\n#Depth(km): 10.0\n#Magnitude(Ml): 6.0\n\n"
+        "#Station Information\n#StationCode: AAA\n#StationName: Nowhere\n#StationLongitude(E): 121.0\n"
+        "#StationLatitude(N): 23.0\n#InstrumentKind: FBA\n#StartTime(GMT+08): 2020/01/01-00:00:01.000\n"
         f"#RecordLength(sec): {changed.get('length', len(values) * STEP):g}\n#SampleRate(Hz): {rate}\n"
         f"#AmplitudeUnit:  gal. DCoffset(corr)\n{peaks}#DataSequence: Time U(+); N(+); E(+)\n"
         f"#Data: {data} \n{rows}"

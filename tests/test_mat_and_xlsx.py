@@ -104,7 +104,7 @@ def test_mat_files_that_do_not_fit_are_refused(data, options, match):
 
 def test_damaged_mat_files_raise_record_errors():
     rng = np.random.default_rng(0)
-    for trial in range(600):
+    for trial in range(300):
         data = mat(trial % 2 == 0, t=TIME, acc=ACC, eq={"acc": ACC}, units="g")
         damaged = bytearray(data[: rng.integers(200, len(data))])
         for place in rng.integers(124, len(damaged), 3):
