@@ -35,6 +35,10 @@ class MotionOptions:
     """The one column to take: its title, or its number in the file from 1 on."""
     allow_large: bool = False
     """Accept a peak above 3 g where --units gave the unit."""
+    table: str | None = None
+    """Variable of a .mat file or sheet of a workbook, where it holds several."""
+    allow_seismometers: bool = False
+    """Read channels of seismometers (HHE, BHN, EHZ) whose samples are accelerations all the same."""
     remove_offset: bool = False
     """Take the mean off first, as K-NET's counts need."""
     highpass: float = 0.2
@@ -54,6 +58,8 @@ class MotionOptions:
             sampling_interval=self.sampling_interval,
             column=self.column,
             allow_large=self.allow_large,
+            table=self.table,
+            allow_seismometers=self.allow_seismometers,
         )
         return tuple(remove_baseline(r, 0) for r in records) if self.remove_offset else records
 

@@ -74,8 +74,8 @@ def _beyond(fit: TableFit) -> str:
 class Motion:
     """Describe every channel of a file of recorded motion, and what scale the table needs for it.
 
-    Reads PEER .AT2, CSMIP/CESMD volume 1 and 2, K-NET and KiK-net, CSV or text in columns; MiniSEED and
-    other binary files where ObsPy is installed.
+    Reads PEER .AT2, CSMIP/CESMD volume 1 and 2, K-NET and KiK-net, ESM, COSMOS, SMC, AFAD, GeoNet, CWA,
+    CDMG, CSV or text in columns, .mat, .xlsx; MiniSEED and other binary files where ObsPy is installed.
 
     Try:
       shake motion CICLC.v1

@@ -8,26 +8,38 @@ import stat
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from shake_env.errors import ParameterError, RecordError
 from shake_env.parameters import GRAVITY, is_number
+from shake_env.records.afad import is_afad, parse_afad
+from shake_env.records.cdmg import is_cdmg, parse_cdmg
 from shake_env.records.columns import parse_columns
+from shake_env.records.cosmos import is_cosmos, parse_cosmos
 from shake_env.records.csmip import is_csmip, parse_csmip
+from shake_env.records.cwa import is_cwa, parse_cwa
 from shake_env.records.embedded import is_embedded, parse_embedded
 from shake_env.records.encoding import plain_text
+from shake_env.records.esm import is_esm, parse_esm
+from shake_env.records.geonet import is_geonet, parse_geonet
+from shake_env.records.header import refuse_seismometers
 from shake_env.records.knet import is_knet, parse_knet
+from shake_env.records.matlab import is_matlab, parse_matlab
 from shake_env.records.peer import is_peer, parse_peer
 from shake_env.records.record import Record
+from shake_env.records.smc import is_smc, parse_smc
+from shake_env.records.spreadsheet import is_spreadsheet, parse_spreadsheet
 from shake_env.records.units import Unit, unit_asked
 from shake_env.records.waveform import is_waveform, parse_waveform
 
 LARGEST_FILE = 256 * 2**20  # bytes
 LARGEST_ACCELERATION = 100.0 * GRAVITY  # [m/s^2] beyond it the unit must be wrong
 LARGEST_UNCONFIRMED = 3.0 * GRAVITY  # [m/s^2] beyond it a unit that the caller gives is confirmed
-_SUFFIXES = (".csv", ".txt", ".dat", ".at2", ".v1", ".v2", ".raw", ".mseed", ".sac")
+_SUFFIXES: tuple[str, ...] = (".csv", ".txt", ".dat", ".at2", ".v1", ".v2", ".raw", ".mseed", ".sac")
+_SUFFIXES += (".asc", ".smc", ".v0c", ".v1c", ".v2c", ".v1a", ".v2a", ".mat", ".xlsx")
+_TABULAR = ("MATLAB", "workbook")  # readers that take `table`
 
 
 class Parser(Protocol):
@@ -49,8 +61,17 @@ class Reader(NamedTuple):
 # In the order in which they are asked. What none of them knows is read as columns of text.
 READERS: tuple[Reader, ...] = (
     Reader("K-NET", is_knet, parse_knet),
+    Reader("ESM", is_esm, parse_esm),
+    Reader("COSMOS", is_cosmos, parse_cosmos),
+    Reader("SMC", is_smc, parse_smc),
+    Reader("AFAD", is_afad, parse_afad),
+    Reader("GeoNet", is_geonet, parse_geonet),
+    Reader("CWA", is_cwa, parse_cwa),
+    Reader("CDMG", is_cdmg, parse_cdmg),
     Reader("CSMIP", is_csmip, parse_csmip),
     Reader("PEER", is_peer, parse_peer),
+    Reader("MATLAB", is_matlab, parse_matlab),
+    Reader("workbook", is_spreadsheet, parse_spreadsheet),
     Reader("ObsPy", is_waveform, parse_waveform),
     Reader("embedded format", is_embedded, parse_embedded),
 )
@@ -62,13 +83,18 @@ def read_motion(
     units: str | None = None,
     sampling_interval: float | None = None,
     column: str | int | None = None,
+    table: str | None = None,
     allow_large: bool = False,
+    allow_seismometers: bool = False,
 ) -> tuple[Record, ...]:
     """Read a file of recorded ground acceleration.
 
     Known by content: PEER ``.AT2``, CSMIP (CESMD) volumes 1 and 2, K-NET and KiK-net ASCII, the embedded
     format, CSV and text in columns; MiniSEED, SAC and other binary files through ObsPy. What a header
     says of count, step, unit, length, peak and channels is checked against the data.
+
+    Also ESM and ITACA ASCII, COSMOS, SMC, AFAD, GeoNet, CWA, CDMG and Caltech volumes 1 and 2,
+    ``.mat`` and ``.xlsx``.
 
     Parameters
     ----------
@@ -83,8 +109,13 @@ def read_motion(
     column
         The one column to take: its title, or its number in the file, counted from 1. In a format of
         channels, the channel's name or its place in the file. None takes every acceleration.
+    table
+        Variable of a ``.mat`` file or sheet of a workbook, where it holds several.
     allow_large
         Whether a peak above 3 g is accepted where `units` gave the unit.
+    allow_seismometers
+        Whether channels of seismometers (codes such as HHE, BHN, EHZ) are read; their samples must then
+        be accelerations all the same.
 
     Returns
     -------
@@ -97,7 +128,8 @@ def read_motion(
         above 100 g, or above 3 g by the given unit without `allow_large`. The message names file, line
         and value.
     ParameterError
-        If `path`, `units`, `sampling_interval` or `column` is none.
+        If `path`, `units`, `sampling_interval` or `column` is none, or `table` is given for a file
+        that has none.
     """
     try:
         path = Path(path)
@@ -109,7 +141,9 @@ def read_motion(
         units=units,
         sampling_interval=sampling_interval,
         column=column,
+        table=table,
         allow_large=allow_large,
+        allow_seismometers=allow_seismometers,
     )
     if path.suffix.lower() not in _SUFFIXES:  # as K-NET's, which name the component
         return records
@@ -149,7 +183,9 @@ def parse_motion(
     units: str | None = None,
     sampling_interval: float | None = None,
     column: str | int | None = None,
+    table: str | None = None,
     allow_large: bool = False,
+    allow_seismometers: bool = False,
 ) -> tuple[Record, ...]:
     """Read a file that is already in memory; see :func:`read_motion`.
 
@@ -159,7 +195,7 @@ def parse_motion(
         What its records and messages call it.
     data
         The whole file.
-    units, sampling_interval, column, allow_large
+    units, sampling_interval, column, table, allow_large, allow_seismometers
         As for :func:`read_motion`.
     """
     unit = unit_asked(units)
@@ -180,8 +216,15 @@ def parse_motion(
     def parsed(given: Unit | None) -> tuple[Record, ...]:
         for reader in READERS:
             if reader.matches(data):
+                if reader.name in _TABULAR:
+                    more: dict[str, Any] = {"column": column, "table": table}
+                    return reader.parse(
+                        name, data, units=given, sampling_interval=sampling_interval, **more
+                    )
+                _refuse_table(name, reader.name, table)
                 records = reader.parse(name, data, units=given, sampling_interval=sampling_interval)
                 return records if column is None else (_picked(name, records, column),)
+        _refuse_table(name, "columns", table)
         return parse_columns(name, data, units=given, sampling_interval=sampling_interval, column=column)
 
     with np.errstate(over="ignore", invalid="ignore"):  # a Record refuses what is not finite
@@ -201,7 +244,14 @@ def parse_motion(
                     f"with units {unit} the peak is {worst / GRAVITY:.3g} g: give another unit, or "
                     "allow_large=True (--allow-large) if it is right",
                 ) from None  # fmt: skip
+    if not allow_seismometers:
+        refuse_seismometers(records)
     return records
+
+
+def _refuse_table(name: str, form: str, table: str | None) -> None:
+    if table is not None:
+        raise ParameterError("table", table, f"{name} is read as {form}, which has no tables")
 
 
 def _picked(name: str, records: tuple[Record, ...], column: str | int) -> Record:

@@ -254,11 +254,12 @@ class SourceText:
             remedy = "the file ends without a line end and may be cut off: add one if it is whole"
             raise self.error(last - 1, remedy, final[0][:40])
 
-    def fields(self, first: int, count: int, per_line: int, width: int) -> FloatArray:
+    def fields(self, first: int, count: int, per_line: int, width: int, form: str = "F") -> FloatArray:
         """Return `count` numbers from line `first` on, in Fortran's ``(per_line F width.d)``.
 
-        Columns may touch. Every field holds one number with a decimal point, set flush right, and
-        nothing stands beside or after the last one.
+        Columns may touch. Every field holds one number, set flush right, and nothing stands beside or
+        after the last one. The number has a decimal point (`form` "F"), a decimal point and perhaps an
+        exponent ("E"), or is whole ("I").
 
         Raises
         ------
@@ -275,11 +276,13 @@ class SourceText:
         for begin in range(0, rows, _ROWS_AT_ONCE):
             end = min(begin + _ROWS_AT_ONCE, rows)
             wanted = min(count, end * per_line) - begin * per_line
-            found = self._fields(first + begin, end - begin, wanted, per_line, width)
+            found = self._fields(first + begin, end - begin, wanted, per_line, width, form)
             values[begin * per_line : begin * per_line + wanted] = found
         return values
 
-    def _fields(self, first: int, rows: int, count: int, per_line: int, width: int) -> FloatArray:
+    def _fields(
+        self, first: int, rows: int, count: int, per_line: int, width: int, form: str
+    ) -> FloatArray:
         starts, ends = (bounds := self.bounds(first, first + rows))[:-1], bounds[1:]
         longest, used = int(np.max(ends - starts)), per_line * width
         if longest > 2 * used + 80:
@@ -296,11 +299,13 @@ class SourceText:
         point = chars == ord(".")
         sign = (chars == ord("-")) | (chars == ord("+"))
         blank = chars <= ord(" ")
+        exponent = (chars | 32 == ord("e")) & (form == "E")
         starting = ~blank[:, :-1]
         starting[:, 1:] &= blank[:, :-2]
-        sound = np.all(digit | point | sign | blank, axis=1) & (point.sum(axis=1) == 1)
+        sound = np.all(digit | point | sign | blank | exponent, axis=1)
+        sound &= point.sum(axis=1) == (form != "I")
         sound &= (starting.sum(axis=1) == 1) & ~blank[:, -2] & digit.any(axis=1)
-        sound &= ~np.any(sign[:, 1:] & ~blank[:, :-1], axis=1)
+        sound &= ~np.any(sign[:, 1:] & ~(blank | exponent)[:, :-1], axis=1)
         empty = np.all(blank, axis=1)
         tail = np.all(codes[:, used:] <= ord(" "), axis=1)
         if not (sound[:count].all() and empty[count:].all() and tail.all()):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from shake_env.errors import RecordError
+from shake_env.records.header import sensor_entries
 from shake_env.records.record import Record
 from shake_env.records.units import Unit, settle_interval, settle_unit
 
@@ -33,7 +34,9 @@ def parse_waveform(
         If ObsPy is not installed or cannot read the file, units are not given, or a trace has gaps.
     """
     try:
-        obspy = importlib.import_module("obspy")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what ObsPy itself imports
+            obspy = importlib.import_module("obspy")
     except ImportError:
         raise RecordError(
             name, "binary file", "reading it needs ObsPy: pip install 'shake-env[obspy]'"
@@ -85,6 +88,7 @@ def _record(name: str, trace: Any, unit: Unit, sampling_interval: float | None) 
         ("station", str(stats.station) or "not stated"),
         ("component", str(stats.channel) or "not stated"),
         ("start time", str(stats.starttime)),
+        *sensor_entries(str(stats.channel)),
         ("units in the file", f"counts of {unit}" if unit.factor != 1.0 else str(unit)),
     )
     return Record(f"{name} {trace.id}", unit.to_si(samples.astype(np.float64)), interval, attribution)
