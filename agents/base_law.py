@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
+from agents.algorithm_options import BaseLaw
 from agents.estimated_law import EstimatedLaw
 from agents.free_design import FREE, found_by_search
 from baselines.lqr import action_row, sampled_lqr
@@ -13,8 +12,6 @@ from baselines.preview_lqr import PreviewFeedback
 from baselines.registry import make_baseline
 from shake_env.parameters import FloatArray
 from shake_env.scenario import Scenario
-
-BaseLaw = Literal["none", "flow", "lqr", "preview-lqr", "lqg", "lqg-accommodating", "free"]
 
 
 def base_law(law: BaseLaw, scenario: Scenario) -> FloatArray | EstimatedLaw:

@@ -9,11 +9,14 @@ from typing import Any
 
 from rich.console import Console
 
+from agents.command_options import CommandOptions
+from agents.output_path import require_writable
 from agents.progress import progress_bar
+from agents.terminal import print_markdown
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bench:
+class Bench(CommandOptions):
     """Run every classical controller on every named scenario. Scenarios that are done are kept.
 
     Try:
@@ -31,14 +34,12 @@ class Bench:
     """Markdown page whose tables are renewed from all results."""
     again: bool = False
     """Whether scenarios that are done are run again."""
-    json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Run what is not done, and say where it lies."""
         from agents.bench import bench, markdown, put_tables, read_results
 
-        self.results.mkdir(parents=True, exist_ok=True)
+        require_writable(self.results, "results")
         found = {}
         for name in self.scenarios:
             file = self.results / f"bench_{name}.json"
@@ -55,7 +56,7 @@ class Bench:
                 found[name] = bench(name, self.earthquakes, on_progress=told)
             file.write_text(json.dumps(found[name], indent=1) + "\n", encoding="utf-8")
             console.print(f"wrote {file}")
-            console.print(markdown(found[name]), highlight=False)
+            print_markdown(console, markdown(found[name]))
         if self.page is not None:
             put_tables(self.page, read_results(self.results))
             console.print(f"wrote {self.page}")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 
+from agents.terminal import print_table
 from baselines.lqr import sampled_lqr
 from shake_env.scenario import Scenario
 
@@ -44,9 +44,6 @@ def print_design(found: dict[str, Any], scenario: Scenario, console: Console) ->
     console.print(f"  base-shear error, rms / target    {100 * found['base_shear_rms_ratio']:.2f} %")
     console.print(f"  valve current, rms                {1e3 * found['current_rms']:.2f} mA")
     console.print(f"  natural frequencies [Hz]          {frequencies}")
-    table = Table(title="gain: u = -sum of gain x state", title_justify="left")
-    table.add_column("state")
-    table.add_column("gain [A per unit]", justify="right")
-    for name, gain in zip(found["states"], found["gain"], strict=True):
-        table.add_row(name.replace("[", "\\["), f"{gain:.6g}")
-    console.print(table)
+    rows = [(name, f"{gain:.6g}") for name, gain in zip(found["states"], found["gain"], strict=True)]
+    title = "gain: u = -sum of gain x state"
+    print_table(console, ("state", "gain [A per unit]"), rows, title=title)

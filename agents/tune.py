@@ -21,7 +21,14 @@ from agents.free_design import FREE, as_free, free_baseline
 from baselines.catalogue import BASELINES, Baseline, Tunable
 from baselines.registry import tuned_parameters
 from shake_env.controller import Controller
-from shake_env.errors import NumericalError, ParameterError, ScenarioError, ShakeError, unknown
+from shake_env.errors import (
+    NumericalError,
+    ParameterError,
+    ScenarioError,
+    ShakeError,
+    install_hint,
+    unknown,
+)
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario import Scenario
 
@@ -190,7 +197,7 @@ def search(
     try:
         import optuna
     except ImportError:
-        raise ShakeError("optuna", "missing", "pip install 'shake-env[agents]'") from None
+        raise ShakeError("optuna", "missing", install_hint("agents")) from None
 
     def objective(trial: Any) -> float:
         return cost(

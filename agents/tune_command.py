@@ -9,9 +9,10 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
+from agents.command_options import CommandOptions
 from agents.options import ScenarioOptions
+from agents.output_path import require_writable_file
 from agents.progress import progress_bar
-from baselines.catalogue import BASELINES
 from shake_env import make_scenario
 from shake_env.errors import NumericalError, ParameterError, ScenarioError
 from shake_env.scenario import Scenario
@@ -20,7 +21,7 @@ ALL = "all"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tune:
+class Tune(CommandOptions):
     """Search a controller's free parameters on validation earthquakes; goes on where it stopped.
 
     Try:
@@ -42,12 +43,13 @@ class Tune:
     """SQLite file with the trace of every search; a search in it is gone on with."""
     keep: Path | None = None
     """JSON file to put the result in; baselines/tuned.json is what `shake compare` takes."""
-    json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Search with a progress bar, and print what was found."""
         scenario = self.scenario.build()
+        if self.keep is not None:
+            require_writable_file(self.keep, "keep")
+        require_writable_file(self.storage, "storage")
         if self.keep is not None and scenario != make_scenario(scenario.name):
             raise ParameterError(
                 "keep",
@@ -56,6 +58,8 @@ class Tune:
             )
         if self.controller != ALL:
             return self._tune(self.controller, scenario, console)
+        from baselines.catalogue import BASELINES
+
         found = {}
         for name in BASELINES:
             try:

@@ -19,14 +19,15 @@ DOCS = Path(__file__).parent
 ROOT = DOCS.parent
 sys.path.insert(0, str(ROOT))  # this checkout, whatever is installed
 
-from agents.__main__ import COMMANDS  # noqa: E402
+from agents.command_options import FolderOptions  # noqa: E402
+from agents.commands import COMMANDS  # noqa: E402
 from agents.frames import COLUMNS  # noqa: E402
-from agents.scenario_command import flattened  # noqa: E402
 from baselines.catalogue import BASELINES  # noqa: E402
 from baselines.registry import reference_name, tuned_parameters  # noqa: E402
 from shake_env import SCENARIO_NAMES, make_scenario  # noqa: E402
 from shake_env.errors import ShakeError  # noqa: E402
 from shake_env.scenario import Scenario  # noqa: E402
+from shake_env.scenario_file import flattened  # noqa: E402
 
 NOTE = "<!-- Made by docs/generate.py from the code. -->\n"
 PACKAGES = {
@@ -178,13 +179,15 @@ def command_line() -> str:
         "standard output and nothing else there. An error in what was asked returns 2, an "
         "interruption 130.\n",
     ]  # fmt: skip
-    for name, command in COMMANDS.items():
+    for name, entry in COMMANDS.items():
+        command = entry.load()
         text, _, tries = (command.__doc__ or "").partition("Try:")
         lines = [line.strip() for line in text.strip().splitlines()]
         parts += [f"## shake {name}\n", "\n".join(lines).strip() + "\n"]
         examples = [line.strip() for line in tries.strip().splitlines()]
         parts.append("```sh\n" + "\n".join(examples) + "\n```\n")
-        own = [f.name for f in fields(command) if f.name not in ("scenario", "json")]
+        common = {"scenario", *(f.name for f in fields(FolderOptions))}
+        own = [f.name for f in fields(command) if f.name not in common]
         options = ", ".join(f"`{option.replace('_', '-')}`" for option in own)
         parts.append(f"Options of its own: {options or 'none'}.\n")
     return "\n".join(parts)

@@ -25,7 +25,7 @@ LAYERS = [
     {"ground"},
     {"excitation"},
     {"scenario"},
-    {"named", "braking"},
+    {"named", "braking", "scenario_file"},
     {"overrides", "supervisor"},
     {"transition"},
     {"fleet", "packing"},

@@ -9,9 +9,9 @@ import socket
 from pathlib import Path
 
 import pytest
-import tyro
 
-from agents.__main__ import COMMANDS, main
+from agents.__main__ import main
+from agents.commands import COMMANDS, parse
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -186,7 +186,7 @@ LINES = commands()
 def parsed(words):
     # {} and $NAME stand for a number, a folder or a file in loops and batch scripts.
     words = [re.sub(r"\{\}|\$\w+", "0", word) for word in words]
-    return tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="shake", args=words)
+    return parse(words)
 
 
 def test_the_pages_name_every_command():
