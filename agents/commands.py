@@ -93,11 +93,11 @@ def command_help() -> str:
         "",
         *(f"  {name:<{width}}{command.summary}" for name, command in COMMANDS.items()),
         "",
-        "shake COMMAND --help          options of a command, with examples",
-        "shake COMMAND --help-scenario options that change the scenario, common to most commands",
+        "shake COMMAND --help           options of a command, with examples",
+        "shake COMMAND --help-scenario  options that change a scenario",
         "shake --tyro-print-completion {bash,zsh,tcsh}   a shell's completion script",
         "",
-        "Every command takes --json (one object on standard output), --quiet and --verbose.",
+        "Every command takes --json (one object, nothing else), --quiet and --verbose.",
     ]
     return "\n".join(lines)
 

@@ -38,7 +38,6 @@ class Export(CommandOptions):
         if self.output.suffix != ".onnx":
             raise ParameterError("output", str(self.output), "must end in .onnx")
         policy = load_policy(file_of(self.policy))
-        self.output.parent.mkdir(parents=True, exist_ok=True)
         require_writable_file(self.output, "output")
         export_onnx(policy, self.output)
         states = 0 if policy.memory is None else policy.memory.arrays

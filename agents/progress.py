@@ -72,7 +72,7 @@ class Display:
             self._spinner.start()
         else:
             self._over = threading.Event()
-            self._beat = threading.Thread(target=self._tell, daemon=True)
+            self._beat = threading.Thread(target=self._tell, name="shake-progress", daemon=True)
             self._beat.start()
 
     def end(self) -> None:

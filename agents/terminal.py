@@ -86,7 +86,8 @@ def print_table(
         for number, row in enumerate(rows):
             style = "bold" if number < len(bold) and bold[number] else ""
             table.add_row(*(Text(row[i]) for i in block), style=style)
-        console.print(table)
+        needed = sum(min(20, widths[i]) if i == fold else widths[i] for i in block) + GAP * len(block)
+        console.print(table, width=max(console.width, needed), crop=False)
         console.print()
 
 
@@ -97,7 +98,7 @@ def _blocks(widths: Sequence[int], names: int, fold: int | None, width: int) -> 
     blocks: list[list[int]] = []
     room = -1
     for i in range(names, len(widths)):
-        if least[i] > room:
+        if least[i] + GAP > room:
             blocks.append([*range(names)])
             room = width - own
         blocks[-1].append(i)

@@ -49,7 +49,7 @@ def _log_compilation() -> None:
     """Have the first compilation of this process logged as it begins; what numba has kept is none."""
     event: Any = importlib.import_module("numba.core.event")
 
-    class FirstCompilation(event.Listener):  # type: ignore[misc, name-defined]
+    class FirstCompilation(event.Listener):  # type: ignore[misc]
         def on_start(self, event: Any) -> None:
             if not self.logged:
                 self.logged = True
