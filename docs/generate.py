@@ -176,8 +176,21 @@ def command_line() -> str:
     parts = [
         "# Command line\n", NOTE,
         "`shake COMMAND --help` lists every option with its unit. `--json` prints one object on "
-        "standard output and nothing else there. An error in what was asked returns 2, an "
-        "interruption 130.\n",
+        "standard output and nothing else there; `--quiet` prints errors only; `--verbose` says on "
+        "standard error what takes time, and where an error was raised. An error in what was asked "
+        "returns 2, an interruption 130.\n",
+        "Options that change a scenario are common to most commands: `shake COMMAND --help-scenario` "
+        "lists them. Wherever a scenario's name is taken, the path of a JSON file that "
+        "`shake scenario --json` printed is taken as well; Python's `make_scenario` takes it, too.\n",
+        "Without `--output` a folder of results is the next free one of `out/NAME`, `out/NAME-2`, and "
+        "so on. A folder that `--output` names must be new or empty, unless `--force` is given. A "
+        "file that an option names is replaced.\n",
+        "On a narrow terminal a table continues in a second block below. In a pipe it has one line a "
+        "row, whatever the width.\n",
+        "Completion of commands and options, once for a shell:\n",
+        "```sh\nshake --tyro-print-completion bash > ~/.shake-completion\n"
+        "echo 'source ~/.shake-completion' >> ~/.bashrc\n```\n",
+        "`zsh` and `tcsh` in place of `bash` print theirs.\n",
     ]  # fmt: skip
     for name, entry in COMMANDS.items():
         command = entry.load()
