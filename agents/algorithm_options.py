@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from agents.base_law import BaseLaw
+BaseLaw = Literal["none", "flow", "lqr", "preview-lqr", "lqg", "lqg-accommodating", "free"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 
+from agents.algorithm_options import BaseLaw
 from agents.estimated_law import EstimatedLaw
 from agents.free_design import FREE, found_by_search
 from baselines.lqr import action_row, sampled_lqr
@@ -15,8 +15,6 @@ from baselines.registry import make_baseline, parameter_values
 from shake_env.overrides import make_scenario
 from shake_env.parameters import FloatArray
 from shake_env.scenario import Scenario
-
-BaseLaw = Literal["none", "flow", "lqr", "preview-lqr", "lqg", "lqg-accommodating", "free"]
 
 
 def base_law(

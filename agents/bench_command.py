@@ -9,14 +9,17 @@ from typing import Any
 
 from rich.console import Console
 
+from agents.command_options import CommandOptions
+from agents.output_path import require_writable
 from agents.progress import progress_bar
+from agents.terminal import print_markdown
 from baselines.tuned_values import read_tuned
 from shake_env.errors import ParameterError, ScenarioError, unknown
 from shake_env.named import NAMED
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bench:
+class Bench(CommandOptions):
     """Run every classical controller on every named scenario. Scenarios that are done are kept.
 
     A scenario is done where the folder of results holds a result of the same number of earthquakes and
@@ -42,8 +45,6 @@ class Bench:
     """Markdown page whose tables are renewed from all results."""
     again: bool = False
     """Whether scenarios that are done are run again, and results of other settings replaced."""
-    json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Run what is not done, and say where it lies."""
@@ -53,6 +54,7 @@ class Bench:
         require_names(self.controllers)
         if not self.scenarios:
             raise ParameterError("scenarios", "none", f"name at least one of {', '.join(NAMED)}")
+        require_writable(self.results, "results")
         known = {name: self._known(name) for name in self.scenarios}  # before hours are spent
         results = {}
         for name in self.scenarios:
@@ -67,13 +69,12 @@ class Bench:
                 )
             else:
                 result = self._run(name)
-                file.parent.mkdir(parents=True, exist_ok=True)
                 partial = file.with_suffix(".partial")
                 partial.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
                 partial.replace(file)
                 console.print(f"wrote {file}")
             results[name] = result
-            console.print(markdown(result), highlight=False, soft_wrap=True)
+            print_markdown(console, markdown(result))
             for note in (describe_values(result.get("values", {})), *result.get("warnings", ())):
                 if note:
                     console.print(note, highlight=False, soft_wrap=True)

@@ -8,14 +8,16 @@ from typing import Any
 
 from rich.console import Console
 from rich.progress import TextColumn
-from rich.table import Table
 
+from agents.command_options import CommandOptions
+from agents.output_path import require_writable
 from agents.progress import progress_bar
+from agents.terminal import print_table
 from shake_env.errors import ParameterError, ShakeError
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunCampaign:
+class RunCampaign(CommandOptions):
     """Train every recipe with every seed and evaluate what comes of it; goes on where it stopped.
 
     Try:
@@ -41,8 +43,6 @@ class RunCampaign:
     """Whether all rows are evaluated anew, of the policies that there are, rather than the new ones."""
     dry_run: bool = False
     """Print what would be run, with the minutes expected, and do nothing."""
-    json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Run, evaluate, and say what failed."""
@@ -60,12 +60,19 @@ class RunCampaign:
             minutes = campaign.seconds_left() / 60.0
             _print_plan(rows, minutes, self.processes, console)
             return {"plan": rows, "minutes_left": minutes}
+        require_writable(self.folder, "folder")
+        if self.evaluate:
+            require_writable(self.results, "results")
         _train(campaign, console)
         failures = dict(campaign.failures())
         written = self._evaluate(tasks, failures, console) if self.evaluate else []
         for name, failure in failures.items():
             console.print(f"failed: {name}: {failure}", highlight=False)
         return {"runs": campaign.counts(), "failures": failures, "results": written}
+
+    def exit_code(self, result: dict[str, Any]) -> int:
+        """Return 1 if a run or an evaluation failed."""
+        return 1 if result.get("failures") else 0
 
     def _evaluate(self, tasks: list[Any], failures: dict[str, str], console: Console) -> list[str]:
         from agents.campaign_results import evaluate_arena
@@ -124,20 +131,20 @@ def _train(campaign: Any, console: Console) -> None:
 
 
 def _print_plan(rows: list[dict[str, Any]], minutes: float, processes: int, console: Console) -> None:
-    table = Table()
-    for title in ("recipe", "runs", "done", "steps", "minutes left", "deviates by"):
-        table.add_column(title, justify="left" if title in ("recipe", "deviates by") else "right")
-    for row in rows:
-        table.add_row(
+    headings = ("recipe", "runs", "done", "steps", "minutes\nleft", "deviates by")
+    cells = [
+        (
             row["recipe"], str(row["runs"]), str(row["done"]), f"{row['steps']:,}",
             f"{row['minutes_left']:.0f}", row["why"],
-        )  # fmt: skip
-    console.print(table)
+        )
+        for row in rows
+    ]  # fmt: skip
+    print_table(console, headings, cells, left=(5,), fold=5)
     console.print(f"{minutes:.0f} minutes left with {processes} at a time, then the evaluations")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Results:
+class Results(CommandOptions):
     """Renew the tables of the results page from the result files.
 
     Try:
@@ -149,8 +156,6 @@ class Results:
     """Folder of the results."""
     page: Path = Path("docs/results.md")
     """Markdown page; a table stands between <!-- evaluation NAME --> and <!-- end NAME -->."""
-    json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Write the page, and say what has no place on it."""

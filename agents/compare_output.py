@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table
 
 from agents.compare import Comparison, GroupSummary
 from agents.csv_file import write_csv
 from agents.fidelity import Fidelity
 from agents.figure_style import BLACK, SERIES, figure_style, new_figure, save_figure
+from agents.terminal import print_table
 from shake_env.metrics import EpisodeMetrics
 
 WINDOW = 5.0  # [s] shown of the traced earthquake, about its peak
@@ -26,26 +26,25 @@ def print_tables(comparison: Comparison, console: Console) -> None:
     groups = dict.fromkeys(summary.group for summary in comparison.summaries)
     for group in groups:
         rows = [summary for summary in comparison.summaries if summary.group == group]
+        columns = [
+            column
+            for column in COLUMNS
+            if column[0] != "ended" or any(row.broken_limits for row in rows)
+        ]
+        headings = [heading.format(reference=_label(comparison.reference)) for heading, _ in columns]
+        cells = [
+            [_label(row.controller), *(cell(row, comparison.reference) for _, cell in columns)]
+            for row in rows
+        ]
         title = f"{group}, {rows[0].earthquakes} earthquakes"
-        table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-        table.add_column("controller", overflow="fold", min_width=10)
-        headings = [
-            f"cost / {_label(comparison.reference)} [95 %]", "accel. %\nrms  peak", "shear %\nrms  peak",
-            "lag\nms", "spec.\n%", "Arias", "peak\nmA  m/s   mm", "us",
-        ]  # fmt: skip
-        broken = any(row.broken_limits for row in rows)
-        for heading in headings + ["ended"] * broken:
-            table.add_column(heading.replace("[", "\\["), justify="right", no_wrap=True)
-        for row in rows:
-            table.add_row(*_cells(row, comparison.reference), *[str(row.broken_limits)] * broken)
-        console.print(table)
+        print_table(console, ["controller", *headings], cells, title=title)
     console.print(
         f"Cost: summed over the group, relative to {_label(comparison.reference)}'s on the same "
         "earthquakes; 95 % bootstrap interval over earthquakes. Errors: relative to the target's own "
         "rms and peak, mean over earthquakes. Lag of the table's acceleration; share of "
         "response-spectrum ordinates more than 10 % off; Arias intensity over the target's. Current, "
-        "velocity and stroke: the largest. us: processor time of one decision, median. Ended: by a "
-        "broken limit."
+        "velocity and stroke: the largest. Decision: processor time of one, median. Ended: "
+        "earthquakes that a broken limit ended."
     )
     for row in comparison.summaries:
         if np.isfinite(row.damage):
@@ -67,21 +66,36 @@ def damage_note(row: GroupSummary) -> str:
     )
 
 
-def _cells(row: GroupSummary, reference: str) -> list[str]:
-    interval = row.cost_text().replace("[", "\\[")
-    acceleration = f"{100 * row.acceleration_rms_error:.1f} {100 * row.acceleration_peak_error:5.1f}"
-    shear = f"{100 * row.base_shear_rms_error:.1f} {100 * row.base_shear_peak_error:5.1f}"
-    return [
-        _label(row.controller),
-        "1" if row.controller == reference else interval,
-        acceleration,
-        shear,
-        f"{1e3 * row.delay:.1f}" if np.isfinite(row.delay) else "-",
-        f"{100 * row.spectral_error:.0f}",
-        f"{row.arias_ratio:.2f}",
-        f"{1e3 * row.peak_current:.0f} {row.peak_velocity:.2f} {1e3 * row.peak_displacement:4.0f}",
-        f"{1e6 * row.decision_time:.0f}" if np.isfinite(row.decision_time) else "-",
-    ]
+def _cost(row: GroupSummary, reference: str) -> str:
+    return "1" if row.controller == reference else row.cost_text()
+
+
+def _figure(name: str, scale: float, digits: int) -> Callable[[GroupSummary, str], str]:
+    """Return what writes a figure of a row, scaled; a dash where it is not defined."""
+
+    def cell(row: GroupSummary, reference: str) -> str:
+        value = getattr(row, name)
+        return f"{scale * value:.{digits}f}" if np.isfinite(value) else "-"
+
+    return cell
+
+
+# Heading and cell of each column. The order is of worth: a narrow terminal gets the last ones below.
+COLUMNS: tuple[tuple[str, Callable[[GroupSummary, str], str]], ...] = (
+    ("cost / {reference}\n[95 %]", _cost),
+    ("accel.\nrms %", _figure("acceleration_rms_error", 100.0, 1)),
+    ("accel.\npeak %", _figure("acceleration_peak_error", 100.0, 1)),
+    ("shear\nrms %", _figure("base_shear_rms_error", 100.0, 1)),
+    ("shear\npeak %", _figure("base_shear_peak_error", 100.0, 1)),
+    ("lag\nms", _figure("delay", 1e3, 1)),
+    ("ended", _figure("broken_limits", 1.0, 0)),
+    ("spectrum\n%", _figure("spectral_error", 100.0, 0)),
+    ("Arias\n-", _figure("arias_ratio", 1.0, 2)),
+    ("current\nmA", _figure("peak_current", 1e3, 0)),
+    ("velocity\nm/s", _figure("peak_velocity", 1.0, 2)),
+    ("stroke\nmm", _figure("peak_displacement", 1e3, 0)),
+    ("decision\nus", _figure("decision_time", 1e6, 0)),
+)
 
 
 def write_files(comparison: Comparison, settings: dict[str, Any], folder: Path) -> list[Path]:

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from agents.controller_set import describe_values, values_to_json
 from agents.evaluate import optimal_cost
+from agents.terminal import print_table
 from baselines.lqr import sampled_lqr
 from baselines.preview_lqr import preview_lqr
 from baselines.registry import make_baseline, parameter_values, reference_name
@@ -139,12 +139,9 @@ def print_design(result: dict[str, Any], scenario: Scenario, console: Console) -
         heading = f"Bound: full-state {result['bound']['controller']} ({PROBLEM}), by analysis:"
         _print_figures(heading, result["bound"], console)
         console.print(describe_values(result["values"]), highlight=False, soft_wrap=True)
-    table = Table(title="gain of the full-state LQR: u = -sum of gain x state", title_justify="left")
-    table.add_column("state")
-    table.add_column("gain [A per unit]", justify="right")
-    for name, gain in zip(result["states"], result["gain"], strict=True):
-        table.add_row(name.replace("[", "\\["), f"{gain:.6g}")
-    console.print(table)
+    rows = [(name, f"{gain:.6g}") for name, gain in zip(result["states"], result["gain"], strict=True)]
+    title = "gain of the full-state LQR: u = -sum of gain x state"
+    print_table(console, ("state", "gain [A per unit]"), rows, title=title)
 
 
 def _print_figures(heading: str, figures: dict[str, Any], console: Console) -> None:

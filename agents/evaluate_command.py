@@ -10,13 +10,16 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
+from agents.command_options import CommandOptions
 from agents.options import ScenarioOptions, given_options
+from agents.output_path import output_file
 from agents.progress import progress_bar
+from agents.terminal import print_markdown
 from baselines.tuned_values import read_tuned
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate:
+class Evaluate(CommandOptions):
     """Put policies and controllers through the protocol of docs/protocol.md, on test earthquakes.
 
     Try:
@@ -39,9 +42,8 @@ class Evaluate:
     fidelity: bool = True
     """Whether response spectrum, drift and energy are compared, too."""
     output: Path | None = None
-    """JSON file of the result (default: out/evaluate/SCENARIO.json; with --json: none)."""
-    json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
+    """JSON file of the result, replaced if it is there (default: the next free one of
+    out/evaluate/SCENARIO.json, SCENARIO-2.json, ...; with --json: none)."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Evaluate, print, write."""
@@ -52,6 +54,9 @@ class Evaluate:
         require_names(self.entries)
         scenario = self.scenario.build()
         tuned = None if self.tuned is None else read_tuned(self.tuned)
+        file = None
+        if self.output is not None or not self.json:
+            file = output_file(self.output, Path("out/evaluate") / f"{scenario.name}.json")
         with progress_bar() as progress:
             tasks: dict[str, Any] = {}
 
@@ -70,11 +75,10 @@ class Evaluate:
             )
         given: dict[str, Any] = json.loads(json.dumps(self.scenario.__dict__))
         result["scenario_options"] = given_options(given)
-        console.print(markdown(result), highlight=False, soft_wrap=True)
+        print_markdown(console, markdown(result))
         for note in (describe_values(result["values"]), *result["warnings"]):
             if note:
                 console.print(note, highlight=False, soft_wrap=True)
-        file = self.output or (None if self.json else Path("out/evaluate") / f"{scenario.name}.json")
         if file is not None:
             write_result(result, file)
             console.print(f"wrote {file}")

@@ -10,11 +10,13 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
+from shake_env.errors import install_hint
+
 Frames = Iterator[NDArray[np.uint8]]
 
 # Frames a second by suffix. A gif's frames last whole hundredths of a second: 30 a second it cannot say.
 FILMS = {".mp4": 30.0, ".gif": 25.0}
-INSTALL = "pip install 'shake-env[agents]'"
+INSTALL = install_hint("agents")
 
 
 def film(path: Path, frames: Frames) -> int:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shake_env.errors import ShakeError
+from shake_env.errors import ShakeError, install_hint
 from shake_env.parameters import GRAVITY
 from shake_env.records import Record
 
@@ -24,7 +24,7 @@ def _eqsig() -> Any:
         import eqsig.im
         import eqsig.sdof
     except ImportError:
-        raise ShakeError("eqsig", "missing", "pip install 'shake-env[agents]'") from None
+        raise ShakeError("eqsig", "missing", install_hint("agents")) from None
     return eqsig
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 import shake_env
+from agents.command_options import CommandOptions
 from agents.motion_channels import Channel, MotionOptions, channels, reading
+from agents.terminal import print_table
 from shake_env.motion import RecordedMotion
 from shake_env.overrides import make_scenario
 from shake_env.preparation import (
@@ -71,7 +71,7 @@ def _beyond(fit: TableFit) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion:
+class Motion(CommandOptions):
     """Describe every channel of a file of recorded motion, and what scale the table needs for it.
 
     Reads PEER .AT2, CSMIP/CESMD volume 1 and 2, K-NET and KiK-net, ESM, COSMOS, SMC, AFAD, GeoNet, CWA,
@@ -88,8 +88,6 @@ class Motion:
     options: Annotated[MotionOptions, tyro.conf.arg(name="")] = field(default_factory=MotionOptions)
     output: Path | None = None
     """Folder for the figure (default: out/motion; with --json: none)."""
-    json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Describe, print, draw."""
@@ -124,15 +122,12 @@ def print_channels(
     form = reading(found[0].record)
     number = f"{len(found)} channel{'s' if len(found) > 1 else ''}"
     console.print(escape(f"{file.name}: {form}, {number}"))
-    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column("channel", overflow="fold", min_width=12)
     figures = ("points", "step\ns", "peak\nm/s²", "Arias\nm/s", "5-95 %\ns")
-    for heading in (*figures, "ampl.\nx", "time\nx", "for its"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    rows = []
     for channel, row in zip(found, described, strict=True):
         reasons = dict.fromkeys((_beyond(channel.by_amplitude), _beyond(channel.by_time)))
-        table.add_row(
-            escape(row["name"].removeprefix(f"{file.stem} ")),
+        cells = (
+            row["name"].removeprefix(f"{file.stem} "),
             str(row["points"]),
             f"{row['sampling_interval']:.4g}",
             f"{row['peak_acceleration']:.4g}",
@@ -142,7 +137,8 @@ def print_channels(
             f"{row['time_scale']:.4g}" + ("" if row["time_scale_suffices"] else "*"),
             "\n".join(reasons),
         )
-    console.print(table)
+        rows.append(cells)
+    print_table(console, ("channel", *figures, "ampl.\nx", "time\nx", "for its"), rows)
     motion = found[0].by_amplitude.motion
     upper = f"{motion.lowpass_frequency:g}" if motion.lowpass_frequency else "any"
     console.print(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from agents.memory_units import GatedUnit, MemoryUnit
 from agents.policy_file import PolicyFile
-from shake_env.errors import PolicyFileError, ShakeError
+from shake_env.errors import PolicyFileError, ShakeError, install_hint
 
 OPSET = 17
 IR_VERSION = 8  # of 2022, that goes with this opset: older runtimes read it, too
@@ -76,7 +76,7 @@ def export_onnx(policy: PolicyFile, path: Path) -> Path:
         import onnx
         from onnx import TensorProto, helper, numpy_helper
     except ImportError:
-        raise ShakeError("onnx", "missing", "pip install 'shake-env[onnx]'") from None
+        raise ShakeError("onnx", "missing", install_hint("onnx")) from None
     graph = _Graph(helper, numpy_helper)
     hidden = graph.clip(
         graph.add("MatMul", "observation", graph.constant(policy.matrix.T)), policy.feature_clip

@@ -5,22 +5,27 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any, Literal
+from dataclasses import dataclass, fields, replace
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from shake_env.errors import ScenarioError
+from shake_env.named import NAMED
 from shake_env.overrides import Overrides, make_scenario
 from shake_env.scenario import Scenario
+from shake_env.scenario_file import read_scenario, scenario_fields, scenario_of
+
+SCENARIO_HELP = (
+    f"Name of the scenario ({', '.join(NAMED)}), or a JSON file that shake scenario --json printed."
+)
 
 
 @dataclass(frozen=True)
 class ScenarioOptions:
     """The scenario, and what to change about it (unset: the scenario's own value)."""
 
-    scenario: str = "linear"
-    """Name of the scenario: linear, as-printed, laboratory, unknown-specimen, yielding, records."""
+    scenario: Annotated[str, tyro.conf.arg(help=SCENARIO_HELP)] = "linear"
     stories: int | None = None
     """Number of storeys of the specimen."""
     mass_ratio: float | None = None
@@ -58,6 +63,8 @@ class ScenarioOptions:
     set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """Any other field as PATH=VALUE, in SI: nonlinearity.friction.coulomb=300, sensing.preview=0.2,
     uncertainty.mass_ratio=[0.1,1]; may be given again."""
+    values: tyro.conf.Suppress[dict[str, Any] | None] = None
+    """Every field of a scenario that came from a file, in place of its name; see `without_file`."""
 
     def build(self) -> Scenario:
         """Return the scenario.
@@ -65,15 +72,27 @@ class ScenarioOptions:
         Raises
         ------
         ScenarioError
-            If a name, a path or its value is not understood.
+            If a name, a path or its value is not understood, or a scenario file is none.
         """
+        base = self.scenario if self.values is None else scenario_of(self.values)
         overrides = {
             field.name: getattr(self, field.name)
             for field in fields(self)
-            if field.name not in ("scenario", "set") and getattr(self, field.name) is not None
+            if field.name not in ("scenario", "set", "values") and getattr(self, field.name) is not None
         }
         overrides["fields"] = dict(assignment(text) for text in self.set)
-        return make_scenario(self.scenario, Overrides(**overrides))  # type: ignore[typeddict-item]
+        return make_scenario(base, Overrides(**overrides))  # type: ignore[typeddict-item]
+
+    def without_file(self) -> ScenarioOptions:
+        """Return these options with the contents of a scenario file in place of its path.
+
+        What is kept for later, such as the configuration of a training run, must not depend on a file
+        that may change or move.
+        """
+        if self.values is not None or not self.scenario.endswith(".json"):
+            return self
+        scenario = read_scenario(self.scenario)
+        return replace(self, scenario=scenario.name, values=scenario_fields(scenario))
 
 
 def assignment(text: str) -> tuple[str, Any]:

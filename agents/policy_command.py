@@ -9,11 +9,13 @@ from typing import Any
 import tyro
 from rich.console import Console
 
+from agents.command_options import CommandOptions
+from agents.output_path import require_writable_file
 from shake_env.errors import ParameterError
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export:
+class Export(CommandOptions):
     """Write a policy as ONNX, for runtimes other than numpy.
 
     Try:
@@ -26,8 +28,6 @@ class Export:
     """Run directory, policy file, or the name of a policy that ships (policy, analytic, off-policy)."""
     output: tyro.conf.Positional[Path]
     """File to write, *.onnx."""
-    json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Write, and say what the graph takes and gives."""
@@ -38,7 +38,7 @@ class Export:
         if self.output.suffix != ".onnx":
             raise ParameterError("output", str(self.output), "must end in .onnx")
         policy = load_policy(file_of(self.policy))
-        self.output.parent.mkdir(parents=True, exist_ok=True)
+        require_writable_file(self.output, "output")
         export_onnx(policy, self.output)
         states = 0 if policy.memory is None else policy.memory.arrays
         console.print(
@@ -57,7 +57,7 @@ class Export:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Card:
+class Card(CommandOptions):
     """Write a policy's card: how it was made, its learning curve, its evaluation, its limits of use.
 
     Where docs/results has a robustness result of its scenario that holds the policy, the card says where
@@ -77,8 +77,6 @@ class Card:
     policy)."""
     limits: str = ""
     """Further sentences on limits of use."""
-    json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Write the card."""

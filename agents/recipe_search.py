@@ -39,6 +39,7 @@ from shake_env.errors import (
     RunDirectoryError,
     ScenarioError,
     ShakeError,
+    install_hint,
     unknown,
 )
 
@@ -130,7 +131,7 @@ def open_study(search: Search, storage: Path) -> Any:
     try:
         import optuna
     except ImportError:
-        raise ShakeError("optuna", "missing", "pip install 'shake-env[agents]'") from None
+        raise ShakeError("optuna", "missing", install_hint("agents")) from None
     storage.parent.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(

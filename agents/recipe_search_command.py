@@ -11,7 +11,9 @@ import tyro
 from rich.console import Console
 from rich.progress import TextColumn
 
-from agents.progress import progress_bar
+from agents.command_options import CommandOptions
+from agents.output_path import require_writable, require_writable_file
+from agents.progress import display, progress_bar
 from shake_env.errors import ParameterError
 
 if TYPE_CHECKING:  # the rest of the command line starts without torch
@@ -20,7 +22,7 @@ if TYPE_CHECKING:  # the rest of the command line starts without torch
 
 
 @dataclass(frozen=True, kw_only=True)
-class SearchRecipe:
+class SearchRecipe(CommandOptions):
     """Search the values of a campaign's recipe by short trainings; goes on where it stopped.
 
     Try:
@@ -52,8 +54,6 @@ class SearchRecipe:
     """Markdown page whose searches, tables and figures, are renewed from all kept traces."""
     results: Path = Path("docs/results")
     """Folder of the kept traces that the page is made of."""
-    json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Search with a progress bar, print what was found, keep it."""
@@ -63,6 +63,10 @@ class SearchRecipe:
         if self.keep is not None and self.keep.suffix != ".json":
             remedy = "must be a JSON file, such as docs/results/recipe_linear_ppo.json"
             raise ParameterError("keep", str(self.keep), remedy)
+        if self.keep is not None:
+            require_writable_file(self.keep, "keep")
+        require_writable_file(self.storage, "storage")
+        require_writable(self.folder, "folder")
         search = Search(
             recipe=find_recipe(self.recipe),
             share=self.share,
@@ -72,7 +76,7 @@ class SearchRecipe:
         try:
             trace = self._search(search)
         except KeyboardInterrupt:
-            Console(stderr=True).print("the same command goes on with this trial")
+            display.note("the same command goes on with this trial")
             raise
         _print(trace, console)
         if self.keep is not None:

@@ -11,8 +11,10 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
+from agents.command_options import FolderOptions
 from agents.options import ScenarioOptions, given_options
 from agents.progress import progress_bar
+from agents.terminal import print_markdown
 from baselines.tuned_values import read_tuned
 from shake_env.errors import ParameterError
 
@@ -21,7 +23,7 @@ SHOWN = ("linear", "as-printed", "laboratory", "unknown-specimen", "yielding")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Robustness:
+class Robustness(FolderOptions):
     """Drive controllers on tables, specimens, loops and motions that they were not made for.
 
     Specimen mass, storey frequency, damping, friction, loop delay, sensor noise and amplitude are
@@ -58,10 +60,6 @@ class Robustness:
     costs what it did on what is not changed."""
     again: bool = False
     """With --all: run every scenario in any case."""
-    output: Path | None = None
-    """Folder for result, figures and table (default: out/robustness; with --json: none)."""
-    json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Run, print, write."""
@@ -74,14 +72,14 @@ class Robustness:
         if self.controllers is not None:
             require_names(self.controllers)
         scenario = self.scenario.build()
+        folder = self.results_folder("robustness")
         result = _measure(self, self.scenario)
-        console.print(section(result), highlight=False, soft_wrap=True)
+        print_markdown(console, section(result))
         for note in (describe_values(result["values"]), *result["warnings"]):
             if note:
                 console.print(note, highlight=False, soft_wrap=True)
         for reason in result["skipped"]:
             console.print(f"left out: {reason}")
-        folder = self.output or (None if self.json else Path("out/robustness"))
         if folder is not None:
             file = folder / f"{PREFIX}{scenario.name}.json"
             write_robustness(result, file)

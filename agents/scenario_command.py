@@ -2,50 +2,46 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import tyro
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
+from agents.command_options import CommandOptions
 from agents.options import ScenarioOptions
-from shake_env import SCENARIO_NAMES
-from shake_env.records import Record
-from shake_env.sensing import Sensor
+from agents.terminal import print_table
+from shake_env import SCENARIO_NAMES, make_scenario
+from shake_env.scenario_file import flattened, scenario_fields
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShowScenario:
+class ShowScenario(CommandOptions):
     """Print every field of a scenario, by the path that --set takes, and what an observation holds.
+
+    What --json prints is a scenario file: every --scenario and `make_scenario` take its path.
 
     Try:
       shake scenario
       shake scenario --scenario laboratory
-      shake scenario --scenario laboratory --set sensing.preview=0.2 --json
+      shake scenario --scenario laboratory --set sensing.preview=0.2 --json > mine.json
+      shake compare --scenario mine.json
     """
 
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
-    json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Print the fields of the scenario, and how they differ from the linear one's."""
         scenario = self.scenario.build()
-        values, usual = dict(flattened(scenario)), dict(flattened(ScenarioOptions().build()))
-        table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), title_justify="left")
-        table.title = f"{scenario.name} (bold: other than in linear)"
-        for heading in ("field", "value"):
-            table.add_column(heading, overflow="fold")
-        for path, value in values.items():
-            style = "" if path in usual and usual[path] == value else "bold"
-            shown = f"{value:.6g}" if isinstance(value, float) else str(value)
-            table.add_row(escape(path), escape(shown), style=style)
-        console.print(table)
+        values, usual = dict(flattened(scenario)), dict(flattened(make_scenario("linear")))
+        rows = [
+            (path, f"{value:.6g}" if isinstance(value, float) else str(value))
+            for path, value in values.items()
+        ]
+        other = [path not in usual or usual[path] != value for path, value in values.items()]
+        title = f"{scenario.name} (bold: other than in linear)"
+        print_table(console, ("field", "value"), rows, title=title, left=(1,), fold=1, bold=other)
         names = scenario.observation.names
         console.print(f"Observation, {len(names)} entries:")
         for index, name in enumerate(names):
@@ -53,26 +49,7 @@ class ShowScenario:
         console.print(f"Scenarios: {', '.join(SCENARIO_NAMES)}.")
         return {
             "name": scenario.name,
-            "fields": values,
+            "fields": scenario_fields(scenario),
             "observation": list(names),
             "scenarios": list(SCENARIO_NAMES),
         }
-
-
-def flattened(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield path and plain value of every field of a frozen value; infinite numbers as words."""
-    if isinstance(value, Record):
-        yield path, value.name
-    elif is_dataclass(value) and not isinstance(value, type):
-        for item in fields(value):
-            yield from flattened(getattr(value, item.name), f"{path}.{item.name}".lstrip("."))
-    elif isinstance(value, tuple) and value and all(isinstance(item, Sensor) for item in value):
-        for sensor in value:
-            yield from flattened(sensor, f"{path}.{sensor.signal}")
-    elif isinstance(value, tuple) and value and is_dataclass(value[0]):
-        for number, item in enumerate(value):
-            yield from flattened(item, f"{path}[{number}]")
-    elif isinstance(value, float) and not math.isfinite(value):
-        yield path, str(value)
-    else:
-        yield path, list(value) if isinstance(value, tuple) else value

@@ -28,7 +28,7 @@ def shipped_policy(name: str = "policy", scenario_name: str = "linear") -> Path:
         Whose policy is asked for. The records are driven by the laboratory's, for nothing is trained on
         them; a scenario without a policy of its own gets the linear table's, if it fits.
     """
-    folder = Path(str(resources.files("agents"))) / "pretrained"
+    folder = Path(str(resources.files("agents").joinpath("pretrained")))
     trained = "laboratory" if scenario_name == "records" else scenario_name
     files = [folder / f"{of}-{by}.safetensors" for of in (trained, "linear") for by in SHIPPED[name]]
     return next(file for file in files if file.is_file())

@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from agents.figure_style import CONTROLLERS, TARGET, figure_style, new_figure
-from agents.progress import Progress
+from agents.progress import Progress, display
 from shake_env.trajectory import Trajectory
 
 BARS = "▁▂▃▄▅▆▇█"
@@ -27,7 +27,8 @@ ENOUGH = 30.0  # [s] of training before a guess of the time left is worth anythi
 class TrainingView:
     """Shows a run's progress on standard error; call it with each `Progress`.
 
-    Where standard error is no terminal it writes the last state only.
+    Where standard error is no terminal it writes a line every few seconds, and the last state in full.
+    A command with ``--quiet`` shows nothing.
 
     Parameters
     ----------
@@ -40,10 +41,15 @@ class TrainingView:
     def __init__(self, title: str, console: Console | None = None) -> None:
         self.title = title
         self._first: Progress | None = None
-        self._live = Live(console=console or Console(stderr=True), refresh_per_second=2)
+        self._pause = display.suspended()
+        self._log = console is None and not display.console.is_terminal
+        self._quiet = console is None and display.quiet
+        self._live = Live(console=console or display.console, refresh_per_second=2)
 
     def __enter__(self) -> Self:
-        self._live.__enter__()
+        self._pause.__enter__()
+        if not self._quiet:
+            self._live.__enter__()
         return self
 
     def __exit__(
@@ -52,12 +58,17 @@ class TrainingView:
         problem: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._live.__exit__(kind, problem, trace)
+        if not self._quiet:
+            self._live.__exit__(kind, problem, trace)
+        self._pause.__exit__(kind, problem, trace)
 
     def __call__(self, told: Progress) -> None:
         """Show where the run stands."""
         if self._first is None:
             self._first = told
+        if self._log and display.due():
+            ratio = f", cost / {told.reference} {told.evaluations[-1]:.3f}" if told.evaluations else ""
+            display.note(f"{self.title}: step {told.steps} of {told.total_steps}{ratio}")
         self._live.update(self.render(told))
 
     def render(self, told: Progress) -> Group:

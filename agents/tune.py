@@ -22,7 +22,14 @@ from baselines.catalogue import BASELINES, Baseline, Tunable
 from baselines.registry import parameter_values
 from baselines.tuned_values import TunedEntry, TunedValues, read_tuned, write_tuned
 from shake_env.controller import Controller
-from shake_env.errors import NumericalError, ParameterError, ScenarioError, ShakeError, unknown
+from shake_env.errors import (
+    NumericalError,
+    ParameterError,
+    ScenarioError,
+    ShakeError,
+    install_hint,
+    unknown,
+)
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario import Scenario
 from shake_env.scenario_digest import scenario_digest
@@ -203,7 +210,7 @@ def search(
     try:
         import optuna
     except ImportError:
-        raise ShakeError("optuna", "missing", "pip install 'shake-env[agents]'") from None
+        raise ShakeError("optuna", "missing", install_hint("agents")) from None
 
     def objective(trial: Any) -> float:
         return cost(

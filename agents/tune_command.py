@@ -9,7 +9,9 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
+from agents.command_options import CommandOptions
 from agents.options import ScenarioOptions
+from agents.output_path import require_writable_file
 from agents.progress import progress_bar
 from baselines.catalogue import BASELINES
 from shake_env.errors import NumericalError, ParameterError, ScenarioError
@@ -19,7 +21,7 @@ ALL = "all"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tune:
+class Tune(CommandOptions):
     """Search a controller's free parameters on validation earthquakes; goes on where it stopped.
 
     Try:
@@ -45,17 +47,19 @@ class Tune:
     keep: Path | None = None
     """JSON file to put the result in; compare, bench, evaluate and robustness take it by --tuned. The
     result belongs to this very scenario, told by a digest of all that it is but its name."""
-    json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Search with a progress bar, and print what was found."""
         scenario = self.scenario.build()
         from agents.tune import kept_values
 
+        if self.keep is not None:
+            require_writable_file(self.keep, "keep")
+        require_writable_file(self.storage, "storage")
         kept_values(self.keep)  # says before the search if it is another kind of file
         if self.controller != ALL:
             return self._tune(self.controller, scenario, console)
+
         found = {}
         for name in BASELINES:
             try:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 from rich.console import Console
 
+from agents.command_options import FolderOptions
 from agents.options import ScenarioOptions
+from agents.progress import display
 from shake_env.errors import ParameterError
 from shake_env.nonlinearity import Nonlinearity
 from shake_env.scenario import Scenario
@@ -29,7 +30,7 @@ def linear_part(scenario: Scenario) -> Scenario:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Validate:
+class Validate(FolderOptions):
     """Simulate the closed loop on records and noise, check every range, and reduce it.
 
     Try:
@@ -41,10 +42,6 @@ class Validate:
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
     noise: int = 3
     """Filtered-noise motions of each kind (as in the paper, and high-passed with an envelope)."""
-    output: Path | None = None
-    """Folder for tables (JSON, CSV, Markdown) and figures (default: out/validation; --json: none)."""
-    json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Validate, and say what is being done."""
@@ -53,12 +50,12 @@ class Validate:
 
         if self.noise < 0:
             raise ParameterError("noise", self.noise, "must be at least 0")
-        folder = self.output or (None if self.json else Path("out/validation"))
-        tell, scenario = Console(stderr=True).print, self.scenario.build()
+        scenario = self.scenario.build()
+        folder = self.results_folder("validation")
         linear = linear_part(scenario)
         if linear != scenario:
-            tell("validated: the linear part of the scenario, fully seen, without delay")
-        found = validate(linear, folder, progress=tell, noise=self.noise)
+            display.note("validated: the linear part of the scenario, fully seen, without delay")
+        found: dict[str, Any] = validate(linear, folder, progress=display.note, noise=self.noise)
         print_tables(found, console)
         if folder is not None:
             console.print(f"wrote {folder}")

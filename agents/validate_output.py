@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table
 
 from agents.csv_file import write_csv
+from agents.terminal import print_table
 
 Rows = list[list[str]]
 
@@ -194,9 +193,4 @@ def print_tables(results: dict[str, Any], console: Console) -> None:
 
 
 def _print(console: Console, title: str, table: tuple[list[str], Rows]) -> None:
-    shown = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for i, name in enumerate(table[0]):
-        shown.add_column(name, justify="left" if i < 2 else "right")
-    for row in table[1]:
-        shown.add_row(*row)
-    console.print(shown)
+    print_table(console, table[0], table[1], title=title, names=2)

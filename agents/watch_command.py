@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 
+from agents.command_options import CommandOptions
 from agents.film import FILMS, film
 from agents.options import ScenarioOptions
+from agents.output_path import require_writable_file
 from agents.progress import progress_bar
-from baselines.registry import reference_name
 from shake_env import ShakeTableEnv
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError, ScenarioError, unknown
@@ -29,7 +30,7 @@ from shake_env.scenario import Scenario
 
 
 @dataclass(frozen=True, kw_only=True)
-class Watch:
+class Watch(CommandOptions):
     """Show a controller at work in a window, or save it as a film.
 
     Try:
@@ -54,8 +55,6 @@ class Watch:
     """Seconds that one second of the test takes on the screen."""
     save: Path | None = None
     """File to write in place of a window: .mp4 or .gif."""
-    json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Run the episode and show it."""
@@ -64,6 +63,8 @@ class Watch:
                 raise ParameterError(name, value, "must be above 0")
         if self.save is not None and self.save.suffix.lower() not in FILMS:
             raise ParameterError("save", str(self.save), f"must end in {' or '.join(FILMS)}")
+        if self.save is not None:
+            require_writable_file(self.save, "save")
         # pygame greets on standard output, where --json promises one object.
         os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
         try:
@@ -73,6 +74,7 @@ class Watch:
 
     def _run(self, console: Console) -> dict[str, Any]:
         from agents.named_controller import named_controller
+        from baselines.registry import reference_name
 
         scenario = self.scenario.build()
         rate = FRAME_RATE if self.save is None else FILMS[self.save.suffix.lower()]

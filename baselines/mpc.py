@@ -22,7 +22,7 @@ from scipy import sparse
 
 from baselines.preview_lqr import Forecast
 from baselines.tracking import TrackingProblem
-from shake_env.errors import ParameterError, ScenarioError, ShakeError
+from shake_env.errors import ParameterError, ScenarioError, ShakeError, install_hint
 from shake_env.parameters import FloatArray, require_positive
 from shake_env.plant import REFERENCE_CURRENT, TABLE_DISPLACEMENT, TABLE_VELOCITY
 from shake_env.scenario import Scenario
@@ -186,7 +186,7 @@ class PredictiveControl:
         try:
             import osqp
         except ImportError:
-            raise ShakeError("osqp", "missing", "pip install 'shake-env[classical]'") from None
+            raise ShakeError("osqp", "missing", install_hint("classical")) from None
         solver = osqp.OSQP()
         solver.setup(
             sparse.csc_matrix(np.diag(np.append(np.ones(H), [2.0 * s.curvature * weight] * 2))),

@@ -19,14 +19,15 @@ DOCS = Path(__file__).parent
 ROOT = DOCS.parent
 sys.path.insert(0, str(ROOT))  # this checkout, whatever is installed
 
-from agents.__main__ import COMMANDS  # noqa: E402
+from agents.command_options import FolderOptions  # noqa: E402
+from agents.commands import COMMANDS  # noqa: E402
 from agents.frames import COLUMNS  # noqa: E402
-from agents.scenario_command import flattened  # noqa: E402
 from baselines.catalogue import BASELINES  # noqa: E402
 from baselines.registry import reference_name, tuned_parameters  # noqa: E402
 from shake_env import SCENARIO_NAMES, make_scenario  # noqa: E402
 from shake_env.errors import ShakeError  # noqa: E402
 from shake_env.scenario import Scenario  # noqa: E402
+from shake_env.scenario_file import flattened  # noqa: E402
 
 NOTE = "<!-- Made by docs/generate.py from the code. -->\n"
 PACKAGES = {
@@ -176,16 +177,31 @@ def command_line() -> str:
     parts = [
         "# Command line\n", NOTE,
         "`shake COMMAND --help` lists every option with its unit. `--json` prints one object on "
-        "standard output and nothing else there. An error in what was asked returns 2, an "
-        "interruption 130.\n",
+        "standard output and nothing else there; `--quiet` prints errors only; `--verbose` says on "
+        "standard error what takes time, and where an error was raised. An error in what was asked "
+        "returns 2, an interruption 130.\n",
+        "Options that change a scenario are common to most commands: `shake COMMAND --help-scenario` "
+        "lists them. Wherever a scenario's name is taken, the path of a JSON file that "
+        "`shake scenario --json` printed is taken as well; Python's `make_scenario` takes it, too.\n",
+        "Without `--output` a folder of results is the next free one of `out/NAME`, `out/NAME-2`, and "
+        "so on. A folder that `--output` names must be new or empty, unless `--force` is given. A "
+        "file that an option names is replaced.\n",
+        "On a narrow terminal a table continues in a second block below. In a pipe it has one line a "
+        "row, whatever the width.\n",
+        "Completion of commands and options, once for a shell:\n",
+        "```sh\nshake --tyro-print-completion bash > ~/.shake-completion\n"
+        "echo 'source ~/.shake-completion' >> ~/.bashrc\n```\n",
+        "`zsh` and `tcsh` in place of `bash` print theirs.\n",
     ]  # fmt: skip
-    for name, command in COMMANDS.items():
+    for name, entry in COMMANDS.items():
+        command = entry.load()
         text, _, tries = (command.__doc__ or "").partition("Try:")
         lines = [line.strip() for line in text.strip().splitlines()]
         parts += [f"## shake {name}\n", "\n".join(lines).strip() + "\n"]
         examples = [line.strip() for line in tries.strip().splitlines()]
         parts.append("```sh\n" + "\n".join(examples) + "\n```\n")
-        own = [f.name for f in fields(command) if f.name not in ("scenario", "json")]
+        common = {"scenario", *(f.name for f in fields(FolderOptions))}
+        own = [f.name for f in fields(command) if f.name not in common]
         options = ", ".join(f"`{option.replace('_', '-')}`" for option in own)
         parts.append(f"Options of its own: {options or 'none'}.\n")
     return "\n".join(parts)

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import os
+import time
 import warnings
 from functools import lru_cache
 from typing import Any
+
+logger = logging.getLogger(__name__)
 
 COMPILED = os.environ.get("SHAKE_ENV_COMPILED", "1") != "0"  # whether numba is used where it is there
 
@@ -23,7 +27,11 @@ def compiled_module(name: str) -> Any:
 @lru_cache
 def _load(name: str) -> Any:
     try:
-        return importlib.import_module(f"shake_env.{name}")
+        _log_compilation()
+        began = time.perf_counter()
+        module = importlib.import_module(f"shake_env.{name}")
+        logger.debug("shake_env.%s: loaded in %.1f s", name, time.perf_counter() - began)
+        return module
     except ModuleNotFoundError:
         return None
     except (ImportError, RuntimeError) as problem:  # another numpy than it bears, no folder for its work
@@ -34,3 +42,25 @@ def _load(name: str) -> Any:
             stacklevel=3,
         )
         return None
+
+
+@lru_cache
+def _log_compilation() -> None:
+    """Have the first compilation of this process logged as it begins; what numba has kept is none."""
+    event: Any = importlib.import_module("numba.core.event")
+
+    class FirstCompilation(event.Listener):  # type: ignore[misc]
+        def on_start(self, event: Any) -> None:
+            if not self.logged:
+                self.logged = True
+                logger.info(
+                    "compiling the simulation for this machine: up to a minute, once; "
+                    "later runs load it from disk"
+                )
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+        logged = False
+
+    event.register("numba:compile", FirstCompilation())

@@ -140,7 +140,8 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     what is tracked. ``render_mode="human"`` shows them in a window, in real time. A new frame is drawn
     ``frame_rate`` (30) times a second of simulated time; in between, ``render()`` returns the last one
     again. ``metadata["render_fps"]`` is the control rate, at which a frame for every step plays in real
-    time. Needs ``pip install 'shake-env[render]'``; see ``docs/rendering.md``.
+    time. Needs the extra ``render``: in the project's folder ``pip install '.[render]'``; see
+    ``docs/rendering.md``.
 
     ## Versions
 

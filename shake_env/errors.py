@@ -60,6 +60,11 @@ class NumericalError(ShakeError):
     """A Riccati, Lyapunov or discretisation result failed its own check."""
 
 
+def install_hint(extra: str) -> str:
+    """Return how to install an extra of this project, which no package index has."""
+    return f"in the folder of the project's source: python -m pip install '.[{extra}]'"
+
+
 def unknown(kind: type[ShakeError], field: str, value: str, known: Iterable[str]) -> ShakeError:
     """Return an error of type `kind` for a name that is not among the `known` ones."""
     names = sorted(known)

@@ -8,8 +8,7 @@ from fractions import Fraction
 from functools import lru_cache
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
-from scipy.signal import butter, detrend, firwin, resample_poly, sosfiltfilt
+import scipy  # loads scipy.signal on first use, which takes half a second
 
 from shake_env.errors import ParameterError
 from shake_env.parameters import FloatArray, is_number, require_non_negative, require_positive
@@ -176,15 +175,16 @@ def band_pass(
     check_band(highpass, lowpass, interval)
     for kind, frequency in (("high", highpass), ("low", lowpass)):
         if frequency is not None:
-            sections = butter(4, frequency, kind, fs=1.0 / interval, output="sos")
+            sections = scipy.signal.butter(4, frequency, kind, fs=1.0 / interval, output="sos")
             # 15 samples are scipy's own choice for this order; a shorter record has fewer.
-            values = sosfiltfilt(sections, values, padlen=min(15, len(values) - 1))
+            values = scipy.signal.sosfiltfilt(sections, values, padlen=min(15, len(values) - 1))
     return values
 
 
 def _integrate(values: FloatArray, step: float) -> FloatArray:
-    integral: FloatArray = detrend(cumulative_trapezoid(values, dx=step, initial=0.0))
-    return integral
+    integral = scipy.integrate.cumulative_trapezoid(values, dx=step, initial=0.0)
+    level: FloatArray = scipy.signal.detrend(integral)
+    return level
 
 
 def resample(values: FloatArray, interval: float, new_interval: float) -> FloatArray:
@@ -216,6 +216,6 @@ def resample(values: FloatArray, interval: float, new_interval: float) -> FloatA
     if up == down:
         return values.copy()
     wider = max(up, down)
-    window = firwin(2 * 32 * wider + 1, 1.0 / wider, window=("kaiser", 10.0))
-    resampled: FloatArray = resample_poly(values, up, down, window=window)
+    window = scipy.signal.firwin(2 * 32 * wider + 1, 1.0 / wider, window=("kaiser", 10.0))
+    resampled: FloatArray = scipy.signal.resample_poly(values, up, down, window=window)
     return resampled[: math.floor((len(values) - 1) * up / down) + 1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, TypedDict
@@ -16,6 +17,7 @@ from shake_env.objective import Objective
 from shake_env.parameters import ModelEquations, Specimen
 from shake_env.preparation import TableCapacity, fit_amplitude
 from shake_env.scenario import UNIFORM, Scenario
+from shake_env.scenario_file import read_scenario
 from shake_env.sensing import Sensing
 from shake_env.uncertainty import Uncertainty
 
@@ -58,14 +60,17 @@ _DIRECT = (
 )  # fmt: skip
 
 
-def make_scenario(scenario: str | Scenario = "linear", overrides: Overrides | None = None) -> Scenario:
-    """Return a named scenario, or the one given, with some of its parts changed.
+def make_scenario(
+    scenario: str | os.PathLike[str] | Scenario = "linear", overrides: Overrides | None = None
+) -> Scenario:
+    """Return a scenario by its name, from its file or as given, with some of its parts changed.
 
     Parameters
     ----------
     scenario
         A name (``"linear"``, ``"as-printed"``, ``"laboratory"``, ``"unknown-specimen"``,
-        ``"yielding"``, ``"records"``) or a scenario.
+        ``"yielding"``, ``"records"``), the path of a JSON file that ``shake scenario --json`` printed
+        (it ends in ``.json`` or is an ``os.PathLike``), or a scenario.
     overrides
         ``stories``, ``mass_ratio``, ``storey_frequency`` [Hz], ``damping_ratio`` (equal storeys) or
         ``specimen``; ``equations`` ("corrected", "as_printed" or a value); ``physics_step`` [s],
@@ -80,13 +85,16 @@ def make_scenario(scenario: str | Scenario = "linear", overrides: Overrides | No
     Raises
     ------
     ScenarioError
-        If the name or an override is unknown, or two of them contradict each other.
+        If the name or an override is unknown, two of them contradict each other, or the file is no
+        scenario (see `read_scenario`).
     ParameterError
         If a value is outside its range.
     """
-    if isinstance(scenario, str):
+    if isinstance(scenario, os.PathLike) or (isinstance(scenario, str) and scenario.endswith(".json")):
+        scenario = read_scenario(scenario)
+    elif isinstance(scenario, str):
         if scenario not in NAMED:
-            raise unknown(ScenarioError, "scenario", scenario, NAMED)
+            raise unknown(ScenarioError, "scenario", scenario, [*NAMED, "FILE.json"])
         scenario = NAMED[scenario]()
     if not isinstance(scenario, Scenario):
         raise ScenarioError("scenario", scenario, "must be a Scenario or the name of one")

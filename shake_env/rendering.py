@@ -15,7 +15,7 @@ from gymnasium import logger
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from shake_env.errors import ScenarioError, unknown
+from shake_env.errors import ScenarioError, install_hint, unknown
 from shake_env.motion import Motion
 from shake_env.parameters import is_number
 from shake_env.scenario import Scenario
@@ -30,7 +30,7 @@ FRAME_RATE = 30.0  # [Hz] frames a second of simulated time
 UNSEEN = ("dummy", "offscreen")  # SDL's drivers without a display
 NO_DISPLAY = "no window can be seen here"
 REMEDY = "use render_mode='rgb_array', or shake watch --save FILE"
-INSTALL = "pip install 'shake-env[render]'"
+INSTALL = install_hint("render")
 
 
 class View:

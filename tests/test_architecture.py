@@ -13,7 +13,7 @@ GYMNASIUM = {"__init__.py", "env.py", "vector_env.py", "rendering.py"}
 # Within shake_env, lowest first: a module imports from lower ranks only, or its own where listed.
 LAYERS = [
     {"errors", "controller", "compilation"},
-    {"parameters"},
+    {"parameters", "command_line"},
     {"plant", "records"},
     {"discretization", "motion", "objective", "limits", "nonlinearity", "sensing", "uncertainty"},
     {"dynamics", "preparation", "fields", "block_kernel"},
@@ -25,7 +25,7 @@ LAYERS = [
     {"ground"},
     {"excitation"},
     {"scenario"},
-    {"named", "braking"},
+    {"named", "braking", "scenario_file"},
     {"overrides", "scenario_digest", "supervisor"},
     {"transition"},
     {"fleet", "packing"},

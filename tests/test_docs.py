@@ -1,6 +1,7 @@
 """The site builds strictly, without a network; generated pages are current; commands are understood."""
 
 import ast
+import json
 import re
 import runpy
 import shlex
@@ -9,9 +10,11 @@ import socket
 from pathlib import Path
 
 import pytest
-import tyro
 
-from agents.__main__ import COMMANDS, main
+from agents.__main__ import main
+from agents.commands import COMMANDS, parse
+from shake_env import make_scenario
+from shake_env.scenario_file import scenario_fields
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -186,7 +189,7 @@ LINES = commands()
 def parsed(words):
     # {} and $NAME stand for a number, a folder or a file in loops and batch scripts.
     words = [re.sub(r"\{\}|\$\w+", "0", word) for word in words]
-    return tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="shake", args=words)
+    return parse(words)
 
 
 def test_the_pages_name_every_command():
@@ -195,8 +198,11 @@ def test_the_pages_name_every_command():
 
 
 @pytest.mark.parametrize("words", LINES, ids=lambda words: " ".join(words)[:60])
-def test_every_command_line_is_understood(words):
+def test_every_command_line_is_understood(words, tmp_path, monkeypatch):
     """Parsed by the command line itself; a scenario is built as well, with what --set changes."""
+    monkeypatch.chdir(tmp_path)
+    fields = scenario_fields(make_scenario("laboratory"))
+    Path("mine.json").write_text(json.dumps({"fields": fields}), encoding="utf-8")
     uppercase = {"NAME": "linear", "CONTROLLER": "tvc", "SCENARIO": "laboratory", "FILE": "x.at2"}
     command = parsed([uppercase.get(word, word) for word in words])
     options = getattr(command, "scenario", None)

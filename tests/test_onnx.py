@@ -88,4 +88,4 @@ def test_the_command_exports_what_ships_with_its_card(tmp_path, capsys):
 def test_without_onnx_the_remedy_is_said(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "onnx", None)
     assert main(["export", "analytic", str(tmp_path / "policy.onnx")]) == 2
-    assert "pip install 'shake-env[onnx]'" in capsys.readouterr().err
+    assert "pip install '.[onnx]'" in capsys.readouterr().err

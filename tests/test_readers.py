@@ -359,7 +359,7 @@ BINARY = b"000001D \0\0\0\0" * 20
 
 def test_binary_files_name_the_missing_package(monkeypatch):
     monkeypatch.setitem(sys.modules, "obspy", None)
-    with pytest.raises(RecordError, match=r"pip install 'shake-env\[obspy\]'"):
+    with pytest.raises(RecordError, match=r"pip install '.\[obspy\]'"):
         parse_motion("made", BINARY, units="m/s^2")
 
 

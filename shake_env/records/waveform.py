@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from shake_env.errors import RecordError
+from shake_env.errors import RecordError, install_hint
 from shake_env.records.header import sensor_entries
 from shake_env.records.record import Record
 from shake_env.records.units import Unit, settle_interval, settle_unit
@@ -39,7 +39,7 @@ def parse_waveform(
             obspy = importlib.import_module("obspy")
     except ImportError:
         raise RecordError(
-            name, "binary file", "reading it needs ObsPy: pip install 'shake-env[obspy]'"
+            name, "binary file", f"reading it needs ObsPy; {install_hint('obspy')}"
         ) from None
     unit = settle_unit(name, None, units)
     try:
