@@ -24,8 +24,9 @@ from agents.models import new_model
 from agents.options import ScenarioOptions
 from agents.policy_file import digest, load_policy
 from agents.report_estimates import learning_curve
+from agents.run_directory import FIRST
 from agents.shipped import shipped_policy
-from agents.train import FIRST, resume, train, training_tables
+from agents.train import resume, train, training_tables
 from shake_env.errors import PolicyFileError
 
 FRICTION = ScenarioOptions(set=("nonlinearity.friction.coulomb=300",))
