@@ -6,7 +6,7 @@ import json
 import shlex
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,7 +21,7 @@ except ImportError as missing:  # the environment and LQR install without the co
 from agents.bench_command import Bench
 from agents.campaign_command import Results, RunCampaign
 from agents.components_command import Components
-from agents.config import TrainConfig
+from agents.config import TrainConfig, read_config, require_same
 from agents.evaluate_command import Evaluate
 from agents.motion_channels import MotionOptions
 from agents.motion_command import Motion, motion_earthquakes
@@ -30,6 +30,7 @@ from agents.policy_command import Card, Export
 from agents.progress import progress_bar
 from agents.recipe_search_command import SearchRecipe
 from agents.robustness_command import Robustness
+from agents.run_directory import CONFIG
 from agents.scenario_command import ShowScenario
 from agents.tune_command import Tune
 from agents.validate_command import Validate
@@ -185,6 +186,8 @@ class Reproduce:
 class Train:
     """Train a policy. An interrupted run goes on exactly with --resume.
 
+    Checkpoints are numbers in safetensors and JSON: reading one runs no code, whoever made it.
+
     Try:
       shake train --run runs/mine
       shake train --run runs/five --config.scenario.stories 5 --config.total-steps 6000000
@@ -195,21 +198,26 @@ class Train:
     """
 
     run_directory: Annotated[Path, tyro.conf.arg(name="run")]
-    """Directory of the run; must not exist, unless it is resumed."""
+    """Directory of the run; must not exist or be empty, unless it is resumed."""
     config: TrainConfig = field(default_factory=TrainConfig)
-    """What decides the result; a resumed run takes its own."""
+    """What decides the result; a resumed run has its own, from which none given here may differ."""
     resume: bool = False
-    """Go on with the run from its last checkpoint."""
+    """Go on with the run from its last checkpoint. Checkpoints hold no pickles, so that reading one runs
+    no code; those of earlier versions, which do, are refused."""
     json: bool = False
     """Print one JSON object on standard output and nothing else there."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Train in sight of a person, and say where the policy lies."""
+        from agents.run_directory import contents
         from agents.train import resume, train
         from agents.training_view import TrainingView
 
+        begins = self.run_directory.is_dir() and not contents(self.run_directory)
+        if self.resume and begins:
+            console.print(f"{self.run_directory} is empty: the run begins, with the options given here")
         with TrainingView(f"training {self.run_directory.name}") as view:
-            if self.resume:
+            if self.resume and not begins:
                 result = resume(self.run_directory, report=view)
             else:
                 result = train(self.config, self.run_directory, report=view)
@@ -220,6 +228,24 @@ class Train:
             f"compare it: shake compare --controllers lqr policy {self.run_directory}"
         )
         return asdict(result)
+
+
+def require_own_options(command: Train, arguments: list[str]) -> None:
+    """Raise RunDirectoryError if a run is to be resumed with an option that differs from its own.
+
+    The command line is read again with the run's own options for defaults, so that what differs then was
+    given.
+    """
+    if not command.resume or not (command.run_directory / CONFIG).exists():
+        return
+    stored = read_config(command.run_directory)
+    usual = replace(command, config=stored)
+    given = tyro.cli(Train, args=arguments[arguments.index("train") + 1 :], default=usual).config
+    if not command.config.scenario.set:  # given ones are put behind the run's own
+        given = replace(given, scenario=replace(given.scenario, set=stored.scenario.set))
+    else:
+        given = replace(given, scenario=replace(given.scenario, set=command.config.scenario.set))
+    require_same(given, command.run_directory, "leave the options away, or begin another run with them")
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
@@ -260,6 +286,8 @@ def main(arguments: list[str] | None = None) -> int:
     # Tables piped into a file or a pager need no narrower a page than a terminal's usual one.
     console = Console(quiet=command.json, width=None if sys.stdout.isatty() else 100)
     try:
+        if isinstance(command, Train):
+            require_own_options(command, sys.argv[1:] if arguments is None else arguments)
         found = command.run(console)
     except ShakeError as error:
         print(f"shake: {error}", file=sys.stderr)

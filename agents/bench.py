@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 import shake_env
 from agents.compare import CLAIRVOYANT, Comparison, GroupSummary, compare, plain_row
 from agents.marked_page import put
+from agents.run_directory import described, read_json
 from baselines.registry import reference_name
 from shake_env import make_scenario
-from shake_env.errors import ParameterError
+from shake_env.errors import FileError, ParameterError
+from shake_env.parameters import is_number
 
 TEST_SEED = 4_000_000  # neither training's, evaluation's, validation's nor `shake compare`'s
 SCENARIOS = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
@@ -112,7 +113,68 @@ def put_tables(page: Path, results: Sequence[dict[str, Any]]) -> None:
         put(page, f"bench {result['scenario']}", markdown(result), end=result["scenario"])
 
 
+def result_file(folder: Path, scenario_name: str) -> Path:
+    """Return the file of a scenario's result."""
+    return folder / f"bench_{scenario_name}.json"
+
+
+def read_result(file: Path) -> dict[str, Any]:
+    """Return the result that a file holds.
+
+    Raises
+    ------
+    FileError
+        If it is missing, not complete or no result of :func:`bench`.
+    """
+    result = read_json(file)
+    lacks = [key for key in _KEYS if key not in result]
+    rows = result.get("rows")
+    if not lacks and not (isinstance(rows, list) and rows and all(isinstance(r, dict) for r in rows)):
+        lacks = ["rows"]
+    for row in () if lacks else rows:
+        lacks += [f"rows.{f.name}" for f in fields(GroupSummary) if not _fits(row, f.name)]
+    if lacks:
+        parts = described(dict.fromkeys(lacks))
+        remedy = f"is no complete result of shake bench (see {parts}): run it with --again"
+        raise FileError("file", str(file), remedy)
+    return result
+
+
+_KEYS = ("scenario", "version", "machine", "seed", "reference", "skipped", "rows")
+_WORDS = ("controller", "group")
+# What is not defined for some controllers: a lag of a still table, a decision made beforehand.
+_OPTIONAL = (
+    "delay", "spectral_error", "arias_ratio", "drift_ratio", "energy_ratio", "decision_time", "damage",
+)  # fmt: skip
+
+
+def _fits(row: dict[str, Any], name: str) -> bool:
+    value = row.get(name, row)
+    if value is None:
+        return name in _OPTIONAL
+    return isinstance(value, str) if name in _WORDS else is_number(value)
+
+
+def require_asked(result: dict[str, Any], file: Path, scenario_name: str, earthquakes: int) -> None:
+    """Raise ParameterError unless a result is of this scenario and this number of earthquakes."""
+    number = result["rows"][0]["earthquakes"]
+    if result["scenario"] != scenario_name:
+        raise ParameterError("results", str(file), f"is of {result['scenario']}: name another --results")
+    if result["seed"] is not None and number != earthquakes:
+        raise ParameterError(
+            "earthquakes",
+            earthquakes,
+            f"{file} is of {number}: ask for {number}, name another --results, or replace it (--again)",
+        )
+
+
 def read_results(folder: Path) -> list[dict[str, Any]]:
-    """Return the results that a folder holds, in the order of `SCENARIOS`."""
-    files = [folder / f"bench_{name}.json" for name in SCENARIOS]
-    return [json.loads(file.read_text(encoding="utf-8")) for file in files if file.exists()]
+    """Return the results that a folder holds, in the order of `SCENARIOS`.
+
+    Raises
+    ------
+    FileError
+        If one is not complete.
+    """
+    files = [result_file(folder, name) for name in SCENARIOS]
+    return [read_result(file) for file in files if file.exists()]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,8 @@ from typing import Any
 from rich.console import Console
 
 from agents.progress import progress_bar
+from agents.run_directory import require_writable, write_json
+from shake_env.errors import ScenarioError, unknown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,16 +18,16 @@ class Bench:
     """Run every classical controller on every named scenario. Scenarios that are done are kept.
 
     Try:
-      shake bench --scenarios laboratory --earthquakes 20 --results out/bench
-      shake bench --page docs/controllers.md
+      shake bench --scenarios laboratory --earthquakes 20
+      shake bench --results docs/results --page docs/controllers.md
     """
 
     scenarios: tuple[str, ...] = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
     """Named scenarios."""
     earthquakes: int = 200
     """Test earthquakes of each; `records` has its six."""
-    results: Path = Path("docs/results")
-    """Folder of the results, a JSON file each."""
+    results: Path = Path("out/bench")
+    """Folder of the results, a JSON file each (those of the documentation: docs/results)."""
     page: Path | None = None
     """Markdown page whose tables are renewed from all results."""
     again: bool = False
@@ -36,14 +37,31 @@ class Bench:
 
     def run(self, console: Console) -> dict[str, Any]:
         """Run what is not done, and say where it lies."""
-        from agents.bench import bench, markdown, put_tables, read_results
+        from agents.bench import (
+            SCENARIOS,
+            bench,
+            markdown,
+            put_tables,
+            read_result,
+            read_results,
+            require_asked,
+            result_file,
+        )
 
-        self.results.mkdir(parents=True, exist_ok=True)
-        found = {}
         for name in self.scenarios:
-            file = self.results / f"bench_{name}.json"
+            if name not in SCENARIOS:
+                raise unknown(ScenarioError, "scenarios", name, SCENARIOS)
+        require_writable(self.results)
+        found, known = {}, {}
+        for name in self.scenarios:
+            file = result_file(self.results, name)
             if file.exists() and not self.again:
-                found[name] = json.loads(file.read_text(encoding="utf-8"))
+                known[name] = read_result(file)
+                require_asked(known[name], file, name, self.earthquakes)
+        for name in self.scenarios:
+            file = result_file(self.results, name)
+            if name in known:
+                found[name] = known[name]
                 console.print(f"{name}: done before, {file}")
                 continue
             with progress_bar() as progress:
@@ -53,7 +71,7 @@ class Bench:
                     progress.update(task, completed=share, description=f"{name}, {controller}")
 
                 found[name] = bench(name, self.earthquakes, on_progress=told)
-            file.write_text(json.dumps(found[name], indent=1) + "\n", encoding="utf-8")
+            write_json(file, found[name], indent=1)
             console.print(f"wrote {file}")
             console.print(markdown(found[name]), highlight=False)
         if self.page is not None:

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from agents.options import ScenarioOptions, given_options
 from agents.progress import progress_bar
+from agents.run_directory import require_writable
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +46,9 @@ class Evaluate:
         from agents.result_tables import markdown, write_result
 
         scenario = self.scenario.build()
+        file = self.output or (None if self.json else Path("out/evaluate") / f"{scenario.name}.json")
+        if file is not None:
+            require_writable(file.parent)
         with progress_bar() as progress:
             tasks: dict[str, Any] = {}
 
@@ -63,7 +67,6 @@ class Evaluate:
         given: dict[str, Any] = json.loads(json.dumps(self.scenario.__dict__))
         result["scenario_options"] = given_options(given)
         console.print(markdown(result), highlight=False, soft_wrap=True)
-        file = self.output or (None if self.json else Path("out/evaluate") / f"{scenario.name}.json")
         if file is not None:
             write_result(result, file)
             console.print(f"wrote {file}")

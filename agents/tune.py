@@ -18,6 +18,7 @@ import numpy as np
 
 import shake_env
 from agents.free_design import FREE, as_free, free_baseline
+from agents.run_directory import file_errors, read_json, write_text
 from baselines.catalogue import BASELINES, Baseline, Tunable
 from baselines.registry import tuned_parameters
 from shake_env.controller import Controller
@@ -127,7 +128,10 @@ def searched(name: str, scenario: Scenario) -> Baseline:
 
 
 def starting_points(name: str, scenario: Scenario) -> list[dict[str, float]]:
-    """Return what is tried after the defaults: for the free design what others were tuned to."""
+    """Return what is tried after the defaults: for the free design what others were tuned to.
+
+    Values outside what is searched are left out.
+    """
     if name != FREE:
         return []
     points = []
@@ -135,7 +139,8 @@ def starting_points(name: str, scenario: Scenario) -> list[dict[str, float]]:
         tuned = tuned_parameters(other, scenario.name)
         if tuned:
             points.append(as_free(scenario, tuned, accommodates=other == "lqg-accommodating"))
-    return points
+    free = free_baseline(scenario).tunable
+    return [p for p in points if all(free[n].low <= value <= free[n].high for n, value in p.items())]
 
 
 def trials_of(budget: int, steps: int) -> int:
@@ -200,7 +205,12 @@ def search(
             }
         )
 
-    storage.parent.mkdir(parents=True, exist_ok=True)
+    distributions = {
+        each: optuna.distributions.FloatDistribution(t.low, t.high, log=t.logarithmic)
+        for each, t in tunable.items()
+    }
+    with file_errors(storage):
+        storage.parent.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(
         study_name=study_name, storage=f"sqlite:///{storage}", load_if_exists=True
@@ -208,15 +218,30 @@ def search(
     done = _finished(study)
     # A resumed search draws from a seed of its own, or it would repeat its first trials.
     study.sampler = optuna.samplers.TPESampler(seed=seed + 1000 * done, multivariate=True)
-    if done == 0:
-        for start in starts:
-            study.enqueue_trial(dict(start))
+    # The starts are put in when their cost is known, and looked for by their values: a search that was
+    # cut in one of them tries it again, before any other.
+    for start in starts:
+        if done < total and _value_at(study, start) is None:
+            study.add_trial(
+                optuna.trial.create_trial(
+                    params=dict(start), distributions=distributions, value=cost(dict(start))
+                )
+            )
+            done = _finished(study)
+            on_trial(done, total, study.best_value)
     while done < total:
         study.optimize(objective, n_trials=1)
         done = _finished(study)
         on_trial(done, total, study.best_value)
-    default = next(t.value for t in study.trials if t.value is not None)
+    default = _value_at(study, starts[0])
+    assert default is not None  # it is the first trial, and there is one
     return Found(dict(study.best_params), float(study.best_value), float(default), done)
+
+
+def _value_at(study: Any, start: Mapping[str, float]) -> float | None:
+    """Return the cost of the first finished trial of these values, None if there is none."""
+    values = (t.value for t in study.trials if t.value is not None and t.params == dict(start))
+    return next(values, None)
 
 
 def _finished(study: Any) -> int:
@@ -225,9 +250,7 @@ def _finished(study: Any) -> int:
 
 def keep(tuning: Tuning, file: Path) -> None:
     """Put a result among those that `baselines.registry` reads."""
-    known = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    known = read_json(file) if file.exists() else {}
     known.setdefault(tuning.scenario, {})[tuning.controller] = tuning.to_json()
     text = json.dumps(known, indent=1, sort_keys=True) + "\n"
-    partial = file.with_suffix(".partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(file)
+    write_text(file, text)

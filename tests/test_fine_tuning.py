@@ -129,7 +129,7 @@ def test_a_run_begins_where_its_policy_stands_and_says_so(tmp_path):
     assert curves[0] == curves[1]
     assert curves[0][512] != begun  # it did not stand still
     models = [
-        load_checkpoint(tmp_path / run, "ppo", training_tables(config, config.scenario.build()), "cpu")
+        load_checkpoint(tmp_path / run, config, training_tables(config, config.scenario.build()))
         for run in ("second", "cut")
     ]
     vectors = [torch.nn.utils.parameters_to_vector(model.policy.parameters()) for model in models]
