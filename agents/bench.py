@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,12 @@ import shake_env
 from agents.compare import Comparison, GroupSummary, compare, cost_text, plain_row
 from agents.controller_set import ALL, CLAIRVOYANT, values_to_json
 from agents.marked_page import put
+from agents.run_directory import described, read_json
 from baselines.registry import reference_name
 from baselines.tuned_values import TunedValues
 from shake_env import make_scenario
-from shake_env.errors import ParameterError
+from shake_env.errors import FileError, ParameterError
+from shake_env.parameters import is_number
 
 TEST_SEED = 4_000_000  # neither training's, evaluation's, validation's nor `shake compare`'s
 SCENARIOS = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
@@ -120,19 +121,71 @@ def put_tables(page: Path, results: Sequence[dict[str, Any]]) -> None:
         put(page, f"bench {result['scenario']}", markdown(result), end=result["scenario"])
 
 
+def result_file(folder: Path, scenario_name: str) -> Path:
+    """Return the file of a scenario's result."""
+    return folder / f"bench_{scenario_name}.json"
+
+
+def read_result(file: Path) -> dict[str, Any]:
+    """Return the result that a file holds.
+
+    Raises
+    ------
+    FileError
+        If it is missing, not complete or no result of :func:`bench`.
+    """
+    result = read_json(file)
+    lacks = [key for key in _KEYS if key not in result]
+    rows = result.get("rows")
+    if not lacks and not (isinstance(rows, list) and rows and all(isinstance(r, dict) for r in rows)):
+        lacks = ["rows"]
+    for row in () if lacks else rows:
+        lacks += [f"rows.{f.name}" for f in fields(GroupSummary) if not _fits(row, f.name)]
+    if lacks:
+        parts = described(dict.fromkeys(lacks))
+        remedy = f"is no complete result of shake bench (see {parts}): run it with --again"
+        raise FileError("file", str(file), remedy)
+    return result
+
+
+_KEYS = ("scenario", "version", "machine", "seed", "reference", "skipped", "rows")
+_WORDS = ("controller", "group")
+# What is not defined for some controllers: a lag of a still table, a decision made beforehand.
+_OPTIONAL = (
+    "delay", "spectral_error", "arias_ratio", "drift_ratio", "energy_ratio", "decision_time", "damage",
+)  # fmt: skip
+
+
+def _fits(row: dict[str, Any], name: str) -> bool:
+    value = row.get(name, row)
+    if value is None:
+        return name in _OPTIONAL
+    return isinstance(value, str) if name in _WORDS else is_number(value)
+
+
 def read_results(folder: Path) -> list[dict[str, Any]]:
-    """Return the results that a folder holds, in the order of `SCENARIOS`."""
-    files = [folder / f"bench_{name}.json" for name in SCENARIOS]
-    return [json.loads(file.read_text(encoding="utf-8")) for file in files if file.exists()]
+    """Return the results that a folder holds, in the order of `SCENARIOS`.
+
+    Raises
+    ------
+    FileError
+        If one is not complete.
+    """
+    files = [result_file(folder, name) for name in SCENARIOS]
+    return [read_result(file) for file in files if file.exists()]
 
 
-def difference(known: dict[str, Any], asked: int, names: Sequence[str], tuned: Path | None) -> str:
+def difference(
+    known: dict[str, Any], scenario_name: str, asked: int, names: Sequence[str], tuned: Path | None
+) -> str:
     """Return in what a result differs from what is asked for, in words; empty: in nothing.
 
     Parameters
     ----------
     known
-        A result of `bench`, on the scenario that is asked for.
+        A result of `bench`.
+    scenario_name
+        The scenario that is asked for.
     asked
         Number of earthquakes.
     names
@@ -141,6 +194,8 @@ def difference(known: dict[str, Any], asked: int, names: Sequence[str], tuned: P
         File of tuned values that is named.
     """
     number = known["rows"][0]["earthquakes"]
+    if known["scenario"] != scenario_name:
+        return f"is of {known['scenario']}, not {scenario_name}"
     if known["seed"] is not None and number != asked:
         return f"was made with {number} earthquakes, not {asked}"
     before = known.get("controllers", list(CONTROLLERS))

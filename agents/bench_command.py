@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from rich.console import Console
 from agents.command_options import CommandOptions
 from agents.output_path import require_writable
 from agents.progress import progress_bar
+from agents.run_directory import write_json
 from agents.terminal import print_markdown
 from baselines.tuned_values import read_tuned
 from shake_env.errors import ParameterError, ScenarioError, unknown
@@ -48,7 +48,7 @@ class Bench(CommandOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Run what is not done, and say where it lies."""
-        from agents.bench import markdown, put_tables, read_results
+        from agents.bench import markdown, put_tables, read_results, result_file
         from agents.controller_set import describe_values, require_names
 
         require_names(self.controllers)
@@ -58,7 +58,7 @@ class Bench(CommandOptions):
         known = {name: self._known(name) for name in self.scenarios}  # before hours are spent
         results = {}
         for name in self.scenarios:
-            file = self.results / f"bench_{name}.json"
+            file = result_file(self.results, name)
             result = known[name]
             if result is not None:
                 number = result["rows"][0]["earthquakes"]
@@ -69,9 +69,7 @@ class Bench(CommandOptions):
                 )
             else:
                 result = self._run(name)
-                partial = file.with_suffix(".partial")
-                partial.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-                partial.replace(file)
+                write_json(file, result, indent=1)
                 console.print(f"wrote {file}")
             results[name] = result
             print_markdown(console, markdown(result))
@@ -90,22 +88,20 @@ class Bench(CommandOptions):
         ------
         ScenarioError
             If there is no such scenario.
+        FileError
+            If its file is no complete result.
         ParameterError
-            If its file cannot be read, or holds a result of other settings.
+            If it holds a result of other settings.
         """
-        from agents.bench import difference
+        from agents.bench import difference, read_result, result_file
 
         if name not in NAMED:
             raise unknown(ScenarioError, "scenario", name, NAMED)
-        file = self.results / f"bench_{name}.json"
+        file = result_file(self.results, name)
         if self.again or not file.exists():
             return None
-        try:
-            known: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-            other = difference(known, self.earthquakes, self.controllers, self.tuned)
-        except (OSError, UnicodeDecodeError, ValueError, LookupError, TypeError) as error:
-            remedy = f"is no result of shake bench ({error}): move it away, or give --again"
-            raise ParameterError("results", str(file), remedy) from error
+        known = read_result(file)
+        other = difference(known, name, self.earthquakes, self.controllers, self.tuned)
         if other:
             remedy = f"{other}: give --again to replace it, or another folder by --results"
             raise ParameterError("results", str(file), remedy)

@@ -14,11 +14,14 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any, Literal
 
-from agents.campaign_worker import PROGRESS
-from agents.checkpoint import checkpoints
-from agents.config import TrainConfig, read_config
+from agents.checkpoint import checkpoint_steps, checkpoints
+from agents.config import TrainConfig, require_same
+from agents.plain_values import typed
+from agents.progress import Progress
 from agents.recipes import Recipe
-from shake_env.errors import ScenarioError, ShakeError, unknown
+from agents.run_directory import CONFIG, PROGRESS, file_errors, read_json
+from agents.train import finished, require_beginnable
+from shake_env.errors import RunDirectoryError, ScenarioError, unknown
 
 State = Literal["done", "begun", "waiting", "running", "failed", "foreign"]
 
@@ -44,30 +47,28 @@ class Task:
 
     def look(self) -> None:
         """Read the state of the run from its directory."""
-        if not self.run.exists():
-            return
-        if not (self.run / "config.json").exists():
-            return  # it was killed before it began
         try:
-            same = read_config(self.run) == self.config
-        except ShakeError:  # that of another version, or damaged
-            same = False
-        if not same:
-            self.state, self.failure = "foreign", "holds another configuration: move it away"
-        elif (self.run / "result.json").exists():
+            if not (self.run / CONFIG).exists():
+                require_beginnable(self.config, self.run)
+                return
+            require_same(self.config, self.run, "move it away")
+        except RunDirectoryError as error:  # also that of another version, or damaged
+            self.state, self.failure = "foreign", str(error)
+            return
+        if finished(self.run):
             self.state, self.share = "done", 1.0
         elif found := checkpoints(self.run):
             self.state = "begun"
-            self.share = int(found[-1].name.removeprefix("step-")) / self.config.steps
+            self.share = checkpoint_steps(found[-1]) / self.config.steps
 
     def watch(self) -> None:
         """Read the progress of the running process."""
         try:
-            told = json.loads((self.run / PROGRESS).read_text(encoding="utf-8"))
-        except (OSError, json.JSONDecodeError):
+            told = typed(Progress, read_json(self.run / PROGRESS, largest=2**20))
+        except ValueError:  # there is none yet
             return
-        self.share = min(told["steps"] / told["total_steps"], 1.0)
-        self.seconds, self.cost_ratio = told["seconds"], told["cost_ratio"]
+        self.share = min(told.steps / max(told.total_steps, 1), 1.0)
+        self.seconds, self.cost_ratio = told.seconds, told.cost_ratio
 
     @property
     def pace(self) -> float | None:
@@ -124,8 +125,9 @@ class Campaign:
     def _start(self, number: int) -> None:
         task = self.tasks[number]
         task.state, task.first_share = "running", task.share
-        task.run.parent.mkdir(parents=True, exist_ok=True)
-        (task.run / PROGRESS).unlink(missing_ok=True)  # that of the process before
+        with file_errors(task.run):
+            task.run.parent.mkdir(parents=True, exist_ok=True)
+            (task.run / PROGRESS).unlink(missing_ok=True)  # that of the process before
         command = f"shake campaign --only {task.recipe.name}"
         one = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
         paths = [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
@@ -144,7 +146,7 @@ class Campaign:
 
     def _finish(self, number: int, code: int) -> None:
         task = self.tasks[number]
-        if code == 0 and (task.run / "result.json").exists():
+        if code == 0 and finished(task.run):
             task.state, task.share = "done", 1.0
             return
         lines = _log(task).read_text(encoding="utf-8", errors="replace").strip().splitlines()

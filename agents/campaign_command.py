@@ -24,7 +24,7 @@ class RunCampaign(CommandOptions):
       shake campaign --dry-run
       shake campaign --only linear/ppo linear/sac --seeds 2
       shake campaign --only 'laboratory/*' --processes 4
-      shake campaign
+      shake campaign --results docs/results
     """
 
     only: tuple[str, ...] = ()
@@ -35,8 +35,8 @@ class RunCampaign(CommandOptions):
     """Runs at a time, each of one thread."""
     folder: Path = Path("runs/campaign")
     """Where runs lie, as SCENARIO/ALGORITHM/SEED."""
-    results: Path = Path("docs/results")
-    """Folder of the results, a JSON file for each scenario."""
+    results: Path = Path("out/campaign")
+    """Folder of the results, a JSON file for each scenario (the documentation's: docs/results)."""
     evaluate: bool = True
     """Whether the scenarios of these recipes are evaluated when their runs are done."""
     again: bool = False
@@ -145,25 +145,33 @@ def _print_plan(rows: list[dict[str, Any]], minutes: float, processes: int, cons
 
 @dataclass(frozen=True, kw_only=True)
 class Results(CommandOptions):
-    """Renew the tables of the results page from the result files.
+    """Print result files as Markdown tables, or renew the tables of a page.
 
     Try:
       shake results
       shake results --results out/evaluate --page out/results.md
+      shake results --results docs/results --page docs/results.md
     """
 
-    results: Path = Path("docs/results")
-    """Folder of the results."""
-    page: Path = Path("docs/results.md")
-    """Markdown page; a table stands between <!-- evaluation NAME --> and <!-- end NAME -->."""
+    results: Path = Path("out/campaign")
+    """Folder of the results (those of the documentation: docs/results)."""
+    page: Path | None = None
+    """Markdown page to renew; a table stands between <!-- evaluation NAME --> and <!-- end NAME -->.
+    Unset: the tables are printed, and no file is written."""
 
     def run(self, console: Console) -> dict[str, Any]:
-        """Write the page, and say what has no place on it."""
-        from agents.result_tables import put_tables, read_results
+        """Print the tables; or write the page, and say what has no place on it."""
+        from agents.result_tables import markdown, put_tables, read_results
 
-        if not self.page.is_file():
+        if self.page is not None and not self.page.is_file():
             raise ParameterError("page", str(self.page), "there is no such file")
         results = read_results(self.results)
+        if not results:
+            raise ParameterError("results", str(self.results), "holds no evaluation_*.json")
+        if self.page is None:
+            for name, result in results.items():
+                console.print(f"{name}\n\n{markdown(result)}", highlight=False, soft_wrap=True)
+            return {"page": None, "tables": list(results), "without_place": []}
         missing = put_tables(self.page, results)
         console.print(
             f"wrote {self.page}: {', '.join(n for n in results if n not in missing) or 'no'} table"

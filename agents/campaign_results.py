@@ -12,7 +12,8 @@ from typing import Any
 from agents.bench import TEST_SEED
 from agents.evaluate import Contestant, contestant, evaluate
 from agents.recipes import Arena
-from agents.result_tables import PREFIX, write_result
+from agents.result_tables import PREFIX, read_result, write_result
+from agents.run_directory import POLICY
 from baselines import clairvoyant
 from baselines.registry import tuned_parameters
 from shake_env.errors import ParameterError
@@ -28,7 +29,7 @@ CLAIRVOYANT_DESIGN = {
 def policy_folders(arena: Arena, folder: Path) -> list[Path]:
     """Return the folders of runs, one an algorithm, whose policies an arena takes."""
     own = folder / (arena.trained_on or arena.name)
-    return sorted({file.parents[1] for file in own.glob("*/*/policy.safetensors")})
+    return sorted({file.parents[1] for file in own.glob(f"*/*/{POLICY}")})
 
 
 def evaluate_arena(
@@ -78,8 +79,10 @@ def evaluate_arena(
 
 
 def _read(file: Path, arena: Arena) -> dict[str, Any]:
-    known: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    if known.get("identity", {}).get("arena") != _asked(arena):
+    known = read_result(file)
+    identity = known.get("identity")
+    complete = isinstance(identity, dict) and {"arena", "clairvoyant", "rows", "tuned"} <= set(identity)
+    if not complete or identity["arena"] != _asked(arena):
         raise ParameterError(
             "results",
             str(file),

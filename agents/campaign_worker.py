@@ -5,33 +5,18 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
-try:
-    import fcntl
-except ImportError:  # no such locks on Windows
-    fcntl = None  # type: ignore[assignment]
-
 from agents.config import config_of
-from agents.train import Progress, go_on
+from agents.progress import Progress
+from agents.run_directory import PROGRESS, parse_json, write_json
+from agents.train import go_on
+from shake_env.errors import ShakeError
 
-PROGRESS = "progress.json"
-
-
-@contextmanager
-def _alone(run: Path) -> Iterator[None]:
-    """Hold the run's lock: workers of a campaign that was killed end only at their next report."""
-    run.parent.mkdir(parents=True, exist_ok=True)
-    with run.with_name(run.name + ".lock").open("w") as lock:
-        if fcntl is not None:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
+PATIENCE = 120.0  # [s] in which a worker whose campaign was killed comes to its next report and ends
 
 
 def work(run: Path, values: str, command: str) -> None:
@@ -40,20 +25,20 @@ def work(run: Path, values: str, command: str) -> None:
     Raises
     ------
     RunDirectoryError
-        If the directory holds a run of another configuration.
+        If the directory holds a run of another configuration, or another process goes on with it.
     """
-    config, parent = config_of(json.loads(values)), os.getppid()
+    config, parent = config_of(parse_json(values)), os.getppid()
 
     def report(told: Progress) -> None:
         if os.getppid() != parent:
             raise KeyboardInterrupt  # the campaign is gone; the checkpoint stays
-        partial = run / (PROGRESS + ".partial")
-        partial.write_text(json.dumps(asdict(told)), encoding="utf-8")
-        partial.replace(run / PROGRESS)
+        write_json(run / PROGRESS, asdict(told))
 
-    with _alone(run):
-        go_on(config, run, report=report, command=command)
+    go_on(config, run, report=report, command=command, wait=PATIENCE)
 
 
 if __name__ == "__main__":
-    work(Path(sys.argv[1]), sys.stdin.read(), sys.argv[2])
+    try:
+        work(Path(sys.argv[1]), sys.stdin.read(), sys.argv[2])
+    except ShakeError as error:
+        sys.exit(str(error))  # the last line of the log, which the campaign shows

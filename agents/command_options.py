@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,10 @@ class CommandOptions(ABC):
     @abstractmethod
     def run(self, console: Console) -> dict[str, Any]:
         """Do what is asked, print it on a console, and return it as plain JSON values."""
+
+    def check_words(self, words: Sequence[str]) -> None:
+        """Raise a ShakeError if the words of the options contradict what the command finds."""
+        return
 
     @property
     def after_interruption(self) -> str | None:

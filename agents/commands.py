@@ -141,6 +141,7 @@ def parse(words: Sequence[str]) -> CommandOptions:
     command: CommandOptions = tyro.cli(kind, prog=prog, args=[*rest, *ahead], registry=brief)
     if command.quiet and command.verbose:
         raise ParameterError("quiet", True, "contradicts --verbose: leave one of them out")
+    command.check_words([*rest, *ahead])
     return command
 
 

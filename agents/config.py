@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -17,6 +18,8 @@ from agents.algorithm_options import (
     TQCOptions,
 )
 from agents.options import ScenarioOptions
+from agents.plain_values import differences, typed
+from agents.run_directory import CONFIG, described, read_json
 from shake_env.errors import ParameterError, RunDirectoryError
 from shake_env.parameters import require_non_negative, require_positive
 
@@ -160,26 +163,24 @@ class TrainConfig:
         return plain
 
 
-# Options that configurations of before there were these algorithms do not hold.
-_LATER = {
-    "td3": TD3Options, "tqc": TQCOptions, "recurrent_ppo": RecurrentPPOOptions,
-    "analytic": AnalyticOptions,
-}  # fmt: skip
+def config_of(values: object) -> TrainConfig:
+    """Return the configuration that :meth:`TrainConfig.to_json` made these values of.
+
+    Options that an older version did not have take their defaults.
+
+    Raises
+    ------
+    ValueError
+        If an option is unknown, missing, of another type or outside its range.
+    """
+    missing = [name for name in _ALWAYS if not isinstance(values, Mapping) or name not in values]
+    if missing:
+        raise ValueError(f"{described(missing)} not given")
+    return typed(TrainConfig, values)
 
 
-def config_of(values: dict[str, Any]) -> TrainConfig:
-    """Return the configuration that :meth:`TrainConfig.to_json` made these values of."""
-    options = values["scenario"]
-    return TrainConfig(
-        **{
-            **values,
-            "scenario": ScenarioOptions(**{**options, "set": tuple(options.get("set", ()))}),
-            "ppo": PPOOptions(**values["ppo"]),
-            "sac": SACOptions(**values["sac"]),
-            **{name: kind(**values.get(name, {})) for name, kind in _LATER.items()},
-            "hidden": tuple(values["hidden"]),
-        }
-    )
+# What the configurations of every version hold: without one of these a file is none.
+_ALWAYS = ("algorithm", "scenario", "ppo", "sac", "seed", "total_steps", "episode", "hidden")
 
 
 def read_config(run: Path) -> TrainConfig:
@@ -188,11 +189,27 @@ def read_config(run: Path) -> TrainConfig:
     Raises
     ------
     RunDirectoryError
-        If there is none, or it cannot be read.
+        If there is none, or it cannot be read, with the option at fault.
     """
+    values = read_json(run / CONFIG, RunDirectoryError, "configuration", largest=2**20)
     try:
-        return config_of(json.loads((run / "config.json").read_text(encoding="utf-8")))
-    except (OSError, KeyError, TypeError, json.JSONDecodeError) as error:
-        raise RunDirectoryError(
-            "run directory", str(run), f"holds no readable config.json ({error}): start a new run"
-        ) from error
+        return config_of(values)
+    except ValueError as error:
+        reason = f"describes no run of this version ({error}): move the directory away"
+        raise RunDirectoryError("configuration", str(run / CONFIG), reason) from error
+
+
+def require_same(given: TrainConfig, run: Path, remedy: str) -> TrainConfig:
+    """Return the configuration of a run.
+
+    Raises
+    ------
+    RunDirectoryError
+        If an option differs from the one given, with both values of each that does.
+    """
+    stored = read_config(run)
+    if changed := differences(given, stored):
+        pairs = [f"{path} is {there!r}, given {here!r}" for path, (here, there) in changed.items()]
+        reason = f"holds another configuration ({described(pairs)}): {remedy}"
+        raise RunDirectoryError("run directory", str(run), reason)
+    return stored

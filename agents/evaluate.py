@@ -21,6 +21,7 @@ from agents.free_design import FOUND
 from agents.named_controller import named_controller, require_controller, values_for
 from agents.own_controller import is_own_controller, own_baseline
 from agents.policy_file import PolicyFile, digest, load_policy
+from agents.run_directory import BEST, POLICY, policy_of_run
 from agents.scores import Episodes, cost_figures, summary
 from agents.shipped import SHIPPED, shipped_policy
 from agents.training_distance import training_warning
@@ -94,6 +95,9 @@ def contestant(text: str, scenario: Scenario) -> Contestant:
 def policy_files(path: Path) -> list[Path]:
     """Return the policy files that a path stands for: itself, its run's, or those of the runs in it.
 
+    Of an interrupted run that is named itself its best policy so far; of a folder of runs those of the
+    finished ones.
+
     Raises
     ------
     PolicyFileError
@@ -101,12 +105,14 @@ def policy_files(path: Path) -> list[Path]:
     """
     if not path.is_dir():
         return [path]
-    if (path / "policy.safetensors").exists():
-        return [path / "policy.safetensors"]
+    if (own := policy_of_run(path)).exists():
+        return [own]
     # Seed 10 comes after seed 9.
-    found = sorted(path.glob("*/policy.safetensors"), key=lambda f: (len(f.parent.name), f.parent.name))
+    found = sorted(path.glob(f"*/{POLICY}"), key=lambda f: (len(f.parent.name), f.parent.name))
     if not found:
-        raise PolicyFileError("entry", str(path), "holds neither a policy.safetensors nor runs with one")
+        raise PolicyFileError(
+            "entry", str(path), f"holds no {POLICY} or {BEST}, and no runs with a {POLICY}"
+        )
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from agents.run_directory import write_text
 from shake_env.errors import ParameterError
 
 
@@ -37,7 +38,7 @@ def put(page: Path, place: str, text: str, end: str | None = None) -> None:
     if not (found and closed):
         raise ParameterError("page", str(page), f"put the lines {begin.strip()} and {close} in it")
     body = f"\n{text.strip()}\n\n" if text.strip() else ""
-    page.write_text(before + begin + body + close + after, encoding="utf-8")
+    write_text(page, before + begin + body + close + after)
 
 
 def _begin(place: str) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from agents.free_design import FOUND, FREE, found_by_search
 from agents.own_controller import is_own_controller, own_baseline
 from agents.policy_file import load_policy
+from agents.run_directory import policy_of_run
 from agents.shipped import SHIPPED, shipped_policy
 from baselines.catalogue import BASELINES
 from baselines.registry import ParameterValues, designed, parameter_values
@@ -86,8 +87,11 @@ def require_controller(name: str, *others: str) -> None:
 
 
 def file_of(name: str, scenario_name: str = "linear") -> Path:
-    """Return the file of a policy that ships, as the scenario has it, or that a path stands for."""
+    """Return the file of a policy that ships, as the scenario has it, or that a path stands for.
+
+    A run directory stands for its policy; while it is not finished, for the best one so far.
+    """
     if name in SHIPPED:
         return shipped_policy(name, scenario_name)
     path = Path(name)
-    return path / "policy.safetensors" if path.is_dir() else path
+    return policy_of_run(path) if path.is_dir() else path

@@ -21,6 +21,7 @@ from safetensors.numpy import save
 from agents.estimated_law import EstimatedLaw
 from agents.memory_units import PARTS, UNITS, GatedUnit, MemoryUnit, Weights, rest
 from agents.policy_header import check_card, parse_header
+from agents.run_directory import replacing
 from shake_env.errors import PolicyFileError
 from shake_env.limits import OBSERVATION_BOUND
 from shake_env.scenario import Scenario
@@ -188,10 +189,9 @@ class PolicyFile:
             arrays[f"memory.{name}"] = getattr(self.memory, name)
         for name in () if self.law is None else LAW:
             arrays[f"law.{name}"] = getattr(self.law, name)
-        partial = path.with_name(path.name + ".partial")
         contiguous = {name: np.ascontiguousarray(a) for name, a in arrays.items()}
-        partial.write_bytes(save(contiguous, {"shake": json.dumps(header, sort_keys=True)}))
-        partial.replace(path)
+        with replacing(path) as partial:
+            partial.write_bytes(save(contiguous, {"shake": json.dumps(header, sort_keys=True)}))
 
 
 def digest(file: str | PathLike[str]) -> str:

@@ -13,7 +13,7 @@ from agents.compare import cost_ratio
 from agents.config import TrainConfig
 from agents.progress import Progress
 from agents.recipes import ARENAS, Recipe
-from agents.report_estimates import learning_curve
+from agents.run_directory import evaluations
 from agents.tune import FAILED, VALIDATION_SEED
 from baselines.registry import make_baseline, reference_name
 from shake_env.controller import Controller
@@ -77,7 +77,7 @@ class Judge:
         a trial is ended does not go by the clock.
         """
         self.best = math.inf
-        for steps, ratio in sorted(dict(learning_curve(str(self.run))).items()):
+        for steps, ratio in sorted(dict(evaluations(self.run)).items()):
             self.best = min(self.best, ratio if math.isfinite(ratio) else FAILED)
             place = steps * self.config.evaluations // self.config.steps
             if place in self._told:

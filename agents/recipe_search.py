@@ -13,16 +13,15 @@ import json
 import math
 import os
 import platform
-import shutil
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import shake_env
 from agents import recipes
+from agents.checkpoint import delete_checkpoints
 from agents.code_version import code_version
 from agents.config import config_of
 from agents.policy_file import load_policy
@@ -31,6 +30,7 @@ from agents.recipe_judging import Judge, OutOfTimeError, PrunedError, Validation
 from agents.recipe_space import TRAIN_SEED, own_values, space, space_json, trial_config
 from agents.recipe_trace import Trace, TrialRow
 from agents.recipes import Recipe
+from agents.run_directory import POLICY, file_errors, locked
 from agents.train import go_on
 from agents.tune import FAILED, VALIDATION_SEED
 from shake_env.errors import (
@@ -42,11 +42,6 @@ from shake_env.errors import (
     install_hint,
     unknown,
 )
-
-try:
-    import fcntl
-except ImportError:  # no such locks on Windows
-    fcntl = None  # type: ignore[assignment]
 
 UNJUDGED = 5  # trials that no pruner ends: a median of fewer says little
 
@@ -88,8 +83,11 @@ class Search:
 
     def same(self, identity: str) -> bool:
         """Return whether that is this search's; options that it does not know have their defaults."""
-        (one, space_one), (two, space_two) = json.loads(identity), json.loads(self.identity())
-        return space_one == space_two and config_of(one) == config_of(two)
+        try:
+            (one, space_one), (two, space_two) = json.loads(identity), json.loads(self.identity())
+            return space_one == space_two and config_of(one) == config_of(two)
+        except ValueError:  # a configuration of another version
+            return False
 
 
 @dataclass(frozen=True)
@@ -132,7 +130,8 @@ def open_study(search: Search, storage: Path) -> Any:
         import optuna
     except ImportError:
         raise ShakeError("optuna", "missing", install_hint("agents")) from None
-    storage.parent.mkdir(parents=True, exist_ok=True)
+    with file_errors(storage):
+        storage.parent.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(
         study_name=search.name, storage=f"sqlite:///{storage}", load_if_exists=True
@@ -161,7 +160,9 @@ def _queue(study: Any, search: Search) -> None:
     """Queue the recipe itself, if it is new, and the trial that was cut, with the run that it had."""
     import optuna
 
-    if not study.get_trials(deepcopy=False):
+    trials = study.get_trials(deepcopy=False)
+    lives = [trial for trial in trials if trial.state.name != "FAIL"]
+    if not lives:
         own = own_values(search.recipe)
         start = {knob.name: own[knob.name] for knob in space(search.recipe)}
         study.enqueue_trial(start, user_attrs={"recipe": True})
@@ -169,20 +170,6 @@ def _queue(study: Any, search: Search) -> None:
         # Given up under its number, which counts for nothing, and queued under the next.
         study.tell(cut.number, state=optuna.trial.TrialState.FAIL)
         study.enqueue_trial(cut.params, user_attrs={"run": str(cut.number), **cut.user_attrs})
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Hold the search's lock, which ends with the process: else another's trial would seem cut."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "lock").open("w") as lock:
-        if fcntl is not None:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                remedy = "another process runs this search: wait, or give another --seed"
-                raise RunDirectoryError("folder", str(folder), remedy) from None
-        yield
 
 
 def search_recipe(
@@ -226,7 +213,7 @@ def search_recipe(
     study, home = open_study(search, storage), folder / search.name
     if len(_done(study)) >= trials:
         return trace_of(search, study)
-    with _alone(home):
+    with locked(home):
         validation = Validation(search.recipe, search.earthquakes)
         study.set_user_attr("reference", validation.reference)
         study.set_user_attr("reference_lost", validation.reference_lost)
@@ -274,7 +261,7 @@ def _trial(
         )
         go_on(config, run, report=report, command=command)
         judge.report()
-        found = validation.judge(load_policy(run / "policy.safetensors"))
+        found = validation.judge(load_policy(run / POLICY))
     except PrunedError:
         found = None
     except (ParameterError, ScenarioError, RunDirectoryError):
@@ -294,7 +281,7 @@ def _trial(
     else:
         study.tell(trial, found["cost"])
     # What is done is not gone on with, and a replay buffer is large.
-    shutil.rmtree(run / "checkpoints", ignore_errors=True)
+    delete_checkpoints(run)
     tell(trial.number, None)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from agents.marked_page import put
 from agents.recipe_space import Choice, Knob, Value, space_json, space_of
+from agents.run_directory import read_json, write_text
 from shake_env.errors import ParameterError
 
 FORMAT = "shake-recipe-search-1"
@@ -99,10 +100,7 @@ def write_trace(trace: Trace, file: Path) -> None:
     plain = trace.to_json()
     trials = ",\n".join(f"  {json.dumps(row)}" for row in plain.pop("trials"))
     text = f'{json.dumps(plain, indent=1)[:-2]},\n "trials": [\n{trials}\n ]\n}}\n'
-    file.parent.mkdir(parents=True, exist_ok=True)
-    partial = file.with_suffix(".partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(file)
+    write_text(file, text)
 
 
 def read_trace(file: Path) -> Trace:
@@ -114,13 +112,13 @@ def read_trace(file: Path) -> Trace:
         If it holds none.
     """
     try:
-        values = json.loads(file.read_text(encoding="utf-8"))
+        values = read_json(file)
         if values.pop("format") != FORMAT:
             raise KeyError("format")
         values.pop("budget")
         rows = tuple(TrialRow(**row) for row in values.pop("trials"))
         return Trace(**{**values, "space": space_of(values["space"]), "trials": rows})
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         remedy = f"holds no trace of a recipe's search ({error}): make it anew with --keep"
         raise ParameterError("trace", str(file), remedy) from error
 

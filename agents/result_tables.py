@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from agents.marked_page import has_place, put
+from agents.run_directory import described, read_json, write_text
+from shake_env.errors import FileError
 
 PREFIX = "evaluation_"  # of a result's file name in docs/results
 COLUMNS = (
@@ -17,10 +19,7 @@ COLUMNS = (
 
 def write_result(result: dict[str, Any], file: Path) -> None:
     """Write a result; a reader never sees half of it."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    partial = file.with_suffix(".partial")
-    partial.write_text(_dumps(result), encoding="utf-8")
-    partial.replace(file)
+    write_text(file, _dumps(result))
 
 
 def _dumps(result: dict[str, Any]) -> str:
@@ -32,10 +31,47 @@ def _dumps(result: dict[str, Any]) -> str:
     return f"{head},\n{tail}\n}}\n"
 
 
+def read_result(file: Path) -> dict[str, Any]:
+    """Return the result that a file holds.
+
+    Raises
+    ------
+    FileError
+        If it is missing, not complete or no result of the protocol.
+    """
+    result = read_json(file)
+    lacks = [key for key in _KEYS if key not in result]
+    for row in result.get("rows", ()) if not lacks else ():
+        name = row.get("controller") if isinstance(row, dict) else None
+        if name not in result["episodes"] or not set(_ROW) <= set(row):
+            lacks.append(f"rows.{name}")
+    if lacks:
+        remedy = f"is no complete result of shake evaluate (see {described(lacks)}): make it anew"
+        raise FileError("file", str(file), remedy)
+    return result
+
+
+_KEYS = (
+    "format", "scenario", "version", "seed", "earthquakes", "reference", "yardstick", "optimal_cost",
+    "rows", "episodes",
+)  # fmt: skip
+_ROW = (
+    "controller", "runs", "sources", "relative_cost", "interquartile_mean", "worst_twentieth",
+    "reference_cost", "probability_of_improvement", "base_shear_rms_error", "acceleration_rms_error",
+    "failures", "episodes", "decision_time", "code", "machine",
+)  # fmt: skip
+
+
 def read_results(folder: Path) -> dict[str, dict[str, Any]]:
-    """Return the results of a folder by the name of their files, without its prefix."""
+    """Return the results of a folder by the name of their files, without its prefix.
+
+    Raises
+    ------
+    FileError
+        If one is not complete.
+    """
     return {
-        file.stem.removeprefix(PREFIX): json.loads(file.read_text(encoding="utf-8"))
+        file.stem.removeprefix(PREFIX): read_result(file)
         for file in sorted(folder.glob(f"{PREFIX}*.json"))
     }
 

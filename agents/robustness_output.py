@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from agents.run_directory import read_json, write_text
 from shake_env.errors import ParameterError
 
 PREFIX = "robustness_"
@@ -190,10 +191,7 @@ def write_robustness(result: dict[str, Any], file: Path) -> None:
     """Write a result with a point on a line."""
     head = json.dumps({key: value for key, value in result.items() if key != "points"}, indent=1)[:-2]
     points = ",\n".join(f"  {json.dumps(point)}" for point in result["points"])
-    file.parent.mkdir(parents=True, exist_ok=True)
-    partial = file.with_suffix(".partial")
-    partial.write_text(f'{head},\n "points": [\n{points}\n ]\n}}\n', encoding="utf-8")
-    partial.replace(file)
+    write_text(file, f'{head},\n "points": [\n{points}\n ]\n}}\n')
 
 
 def read_robustness(file: Path, scenario: str | None = None) -> dict[str, Any]:
@@ -211,10 +209,7 @@ def read_robustness(file: Path, scenario: str | None = None) -> dict[str, Any]:
     ParameterError
         If the file cannot be read, is no result of ``shake robustness``, or of another scenario.
     """
-    try:
-        result: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, json.JSONDecodeError) as error:
-        raise ParameterError("robustness", str(file), f"cannot be read ({error})") from error
+    result = read_json(file, ParameterError, "robustness")
     if not str(result.get("format", "")).startswith("shake-robustness-"):
         raise ParameterError("robustness", str(file), "is no result of shake robustness")
     if scenario not in (None, result["scenario"]):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import shutil
 import sys
@@ -20,16 +19,35 @@ from threadpoolctl import threadpool_limits
 import shake_env
 from agents.artificial import artificial_motions
 from agents.base_law import at_own_cost, base_law
-from agents.checkpoint import checkpoints, load_checkpoint, save_checkpoint
+from agents.checkpoint import checkpoints, load_checkpoint, require_no_pickles, save_checkpoint
 from agents.code_version import code_version
-from agents.config import TrainConfig, read_config
+from agents.config import TrainConfig, read_config, require_same
 from agents.export import export_policy
 from agents.fine_tuning import begin_with, first_file
 from agents.mirror import mirror_averaged
 from agents.models import Model, new_model
+from agents.plain_values import typed
 from agents.policy_file import digest, load_policy
 from agents.progress import Progress
-from agents.report_estimates import learning_curve
+from agents.run_directory import (
+    BEST,
+    CONFIG,
+    EVALUATIONS,
+    FIRST,
+    POLICY,
+    RESULT,
+    append_row,
+    contents,
+    create,
+    described,
+    evaluations,
+    file_errors,
+    forget_attempt,
+    locked,
+    read_json,
+    replacing,
+    write_json,
+)
 from agents.sb3_vec_env import ShakeTableVecEnv
 from agents.training_scenario import make_training_scenario, reward_scale
 from agents.training_view import example_figure
@@ -40,8 +58,6 @@ from shake_env.motion import FilteredNoise, MotionSet
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario import Scenario
 
-BEST = "best.safetensors"  # in a run directory: the policy that did best so far
-FIRST = "first.safetensors"  # the one that it began with, if any
 RUN_SEEDS = 100_000  # that a run may use, from its own seed times that
 EVALUATION_SEED = 1_000_000  # training seeds lie far below, so that no evaluation motion is trained on
 
@@ -81,29 +97,19 @@ def train(
     Raises
     ------
     RunDirectoryError
-        If the directory exists already.
+        If the directory holds a run already, or anything else, or another process runs it.
+    FileError
+        If it cannot be written, or the disk is full.
     PolicyFileError
         If the policy to begin with cannot be read, or is of another kind than what is trained.
     """
-    if run.exists():
-        raise RunDirectoryError(
-            "run directory", str(run), "exists already: name another, or go on with --resume"
-        )
-    scenario, file = config.scenario.build(), first_file(config)
-    first = None if file is None else load_policy(file)
-    env = training_tables(config, scenario)
-    torch.set_num_threads(config.threads)
-    model = new_model(config, scenario, env, direct=first is not None and first.direct)
-    if first is not None:
-        begin_with(model, env, first)
-    run.mkdir(parents=True)
-    (run / "config.json").write_text(json.dumps(config.to_json(), indent=2) + "\n", encoding="utf-8")
-    if file is not None:
-        shutil.copyfile(file, run / FIRST)
-    # After the model: SB3 seeds the environment with the run's own seed, so that the tables of run 1
-    # would repeat those of run 0 but for one.
-    env.seed(config.seed * RUN_SEEDS)
-    return _run(model, config, env, run, report, command)
+    require_beginnable(config, run)
+    model, env, first = _new(config, first_file(config))
+    create(run, lambda folder: _describe(folder, config, first))
+    with locked(run), file_errors(run):
+        require_beginnable(config, run)  # nor has another process begun it since
+        forget_attempt(run)
+        return _run(model, config, env, run, report, command)
 
 
 def resume(
@@ -117,17 +123,11 @@ def resume(
     Raises
     ------
     RunDirectoryError
-        If the directory holds no run, or none of its checkpoints can be read.
+        If the directory holds no run, none of its checkpoints can be read, or another process runs it.
     """
     config = read_config(run)
-    if not checkpoints(run) and not (run / "policy.safetensors").exists():
-        shutil.rmtree(run)  # interrupted before its first checkpoint: nothing is lost
-        return train(config, run, report=report, command=command)
-    env = training_tables(config, config.scenario.build())
-    torch.set_num_threads(config.threads)
-    device = config.analytic.device if config.algorithm == "analytic" else "cpu"
-    model = load_checkpoint(run, config.algorithm, env, device)
-    return _run(model, config, env, run, report, command)
+    with locked(run), file_errors(run):
+        return _go_on(config, run, report, command)
 
 
 def go_on(
@@ -136,30 +136,112 @@ def go_on(
     *,
     report: Callable[[Progress], None] = lambda progress: None,
     command: str | None = None,
+    wait: float = 0.0,
 ) -> None:
     """Train a run, or go on with it, or do nothing where it is done; see :func:`train`.
+
+    It waits up to `wait` [s] for another process that runs it to end.
 
     Raises
     ------
     RunDirectoryError
         If the directory holds another run, or something else.
     """
-    if not (run / "config.json").exists():
-        if run.exists() and any(run.iterdir()):
-            raise RunDirectoryError("run directory", str(run), "holds no run: move it away")
-        if run.exists():
-            run.rmdir()
+    if not (run / CONFIG).exists():
         train(config, run, report=report, command=command)
         return
-    if read_config(run) != config:
-        raise RunDirectoryError(
-            "run directory", str(run), "holds another configuration: move it away, or name another"
-        )
-    if (run / "result.json").exists():
+    require_same(config, run, "move it away, or name another")
+    with locked(run, wait), file_errors(run):
+        if not finished(run):
+            _go_on(config, run, report, command)
+
+
+def require_beginnable(config: TrainConfig, run: Path) -> None:
+    """Raise RunDirectoryError unless a run can begin in a directory.
+
+    It can where there is none, where it is empty, and where an attempt at the same run was interrupted
+    before its first checkpoint.
+    """
+    present = contents(run)
+    if run.exists() and not run.is_dir():
+        raise RunDirectoryError("run directory", str(run), "is a file: name another")
+    if not present:
         return
-    for left in (run / "checkpoints").glob(".partial-*"):
-        shutil.rmtree(left)
-    resume(run, report=report, command=command)
+    if CONFIG not in present:
+        remedy = (
+            f"exists already and holds no run, but {described(present)}: move it away, or name another"
+        )
+        raise RunDirectoryError("run directory", str(run), remedy)
+    if POLICY in present or checkpoints(run):
+        remedy = f"exists already and holds {described(present)}: name another, or go on with --resume"
+        raise RunDirectoryError("run directory", str(run), remedy)
+    require_no_pickles(run)
+    require_same(config, run, "name another, or move it away")
+
+
+def read_result(run: Path) -> TrainResult:
+    """Return what a finished run came to.
+
+    Raises
+    ------
+    RunDirectoryError
+        If there is no result, or it is not complete.
+    """
+    file = run / RESULT
+    try:
+        return typed(TrainResult, read_json(file, RunDirectoryError, "result", largest=2**20))
+    except RunDirectoryError:
+        raise
+    except ValueError as error:
+        raise RunDirectoryError("result", str(file), f"is no result of a run ({error})") from error
+
+
+def finished(run: Path) -> bool:
+    """Return whether a run has a complete result and the policy that it is of."""
+    try:
+        read_result(run)
+    except RunDirectoryError:
+        return False
+    return (run / POLICY).is_file()
+
+
+def _new(config: TrainConfig, file: Path | None) -> tuple[Model, ShakeTableVecEnv, Path | None]:
+    """Return a new model on its tables, and the file of the policy that it begins with."""
+    scenario = config.scenario.build()
+    first = None if file is None else load_policy(file)
+    env = training_tables(config, scenario)
+    torch.set_num_threads(config.threads)
+    model = new_model(config, scenario, env, direct=first is not None and first.direct)
+    if first is not None:
+        begin_with(model, env, first)
+    # After the model: SB3 seeds the environment with the run's own seed, so that the tables of run 1
+    # would repeat those of run 0 but for one.
+    env.seed(config.seed * RUN_SEEDS)
+    return model, env, file
+
+
+def _describe(folder: Path, config: TrainConfig, first: Path | None) -> None:
+    """Put into a run directory what decides the run: the policy that it begins with, its options."""
+    if first is not None and first != folder / FIRST:
+        with replacing(folder / FIRST) as partial:
+            shutil.copyfile(first, partial)
+    write_json(folder / CONFIG, config.to_json())
+
+
+def _go_on(
+    config: TrainConfig, run: Path, report: Callable[[Progress], None], command: str | None
+) -> TrainResult:
+    """Go on with a run whose directory is locked; begin it where it was cut before a checkpoint."""
+    if not checkpoints(run) and not (run / POLICY).exists():
+        require_no_pickles(run)
+        first = run / FIRST
+        model, env, _ = _new(config, first if first.exists() else first_file(config))
+        forget_attempt(run)
+    else:
+        env = training_tables(config, config.scenario.build())
+        torch.set_num_threads(config.threads)
+        model = load_checkpoint(run, config, env)
+    return _run(model, config, env, run, report, command)
 
 
 def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
@@ -219,16 +301,15 @@ class _Watch(BaseCallback):
         self.saved = self.told = -np.inf
         self.passed = -1  # number of the last evaluation that was due
         self.cost_ratio: float | None = None
-        self.evaluations = [ratio for _, ratio in learning_curve(str(run))]
+        self.evaluations = [ratio for _, ratio in evaluations(run)]
+        self.card = {"control_rate": scenario.control_rate, "config": config.to_json()}
         self.errors: tuple[float, float] | None = None
 
     def _due(self, steps: int) -> int:
         return steps * self.config.evaluations // self.config.steps
 
     def _on_training_start(self) -> None:
-        behind = [
-            steps for steps, _ in learning_curve(str(self.run)) if steps <= self.model.num_timesteps
-        ]
+        behind = [steps for steps, _ in evaluations(self.run) if steps <= self.model.num_timesteps]
         self.passed = max(map(self._due, behind), default=-1)
 
     def _on_rollout_start(self) -> None:
@@ -261,7 +342,7 @@ class _Watch(BaseCallback):
 
     def evaluate(self) -> None:
         """Write the policy's mean cost on the fixed earthquakes down, and keep it if it is the best."""
-        policy = export_policy(self.model, self.tables, {})
+        policy = export_policy(self.model, self.tables, self.card)
         if self.config.mirrored:
             policy = mirror_averaged(policy)
         metrics, found = rollout(policy, self.scenario, self.earthquakes, record=(0,))
@@ -285,9 +366,8 @@ class _Watch(BaseCallback):
             "acceleration_rms_error": acceleration,
             "base_shear_rms_error": shear,
         }
-        with (self.run / "evaluations.jsonl").open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
-        if self.cost_ratio <= min(ratio for _, ratio in learning_curve(str(self.run))):
+        append_row(self.run / EVALUATIONS, row)
+        if self.cost_ratio <= min(ratio for _, ratio in evaluations(self.run)):
             policy.save(self.run / BEST)
 
 
@@ -316,7 +396,7 @@ def _reference(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[l
 def _curve(run: Path) -> list[list[float]]:
     """Return the learning curve so far: steps and cost ratio of each evaluation."""
     # A run that was interrupted evaluates again what its last checkpoint had not seen yet.
-    curve = dict(learning_curve(str(run)))
+    curve = dict(evaluations(run))
     return [[steps, curve[steps]] for steps in sorted(curve)]
 
 
@@ -352,8 +432,7 @@ def _run(
         best_steps=int(best_steps),
     )
     card = {
-        "control_rate": watch.scenario.control_rate,
-        "config": config.to_json(),
+        **watch.card,
         "command": command or shlex.join(["shake", *sys.argv[1:]]),
         "version": shake_env.__version__,
         "code": code,
@@ -363,6 +442,6 @@ def _run(
     if (run / FIRST).exists():
         made = load_policy(run / FIRST).card
         card["first"] = {"sha256": digest(run / FIRST), "command": made.get("command")}
-    replace(load_policy(run / BEST), card=card).save(run / "policy.safetensors")
-    (run / "result.json").write_text(json.dumps(asdict(result), indent=2) + "\n", encoding="utf-8")
+    replace(load_policy(run / BEST), card=card).save(run / POLICY)
+    write_json(run / RESULT, asdict(result))
     return result

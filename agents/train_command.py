@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,12 +11,15 @@ import tyro
 from rich.console import Console
 
 from agents.command_options import CommandOptions
-from agents.config import TrainConfig
+from agents.config import TrainConfig, read_config, require_same
+from agents.run_directory import CONFIG
 
 
 @dataclass(frozen=True, kw_only=True)
 class Train(CommandOptions):
     """Train a policy. An interrupted run goes on exactly with --resume.
+
+    Checkpoints are numbers in safetensors and JSON: reading one runs no code, whoever made it.
 
     Try:
       shake train --run runs/mine
@@ -27,24 +31,44 @@ class Train(CommandOptions):
     """
 
     run_directory: Annotated[Path, tyro.conf.arg(name="run")]
-    """Directory of the run; must not exist, unless it is resumed."""
+    """Directory of the run; must not exist or be empty, unless it is resumed."""
     config: TrainConfig = field(default_factory=TrainConfig)
-    """What decides the result; a resumed run takes its own."""
+    """What decides the result; a resumed run has its own, from which none given here may differ."""
     resume: bool = False
-    """Go on with the run from its last checkpoint."""
+    """Go on with the run from its last checkpoint. Checkpoints hold no pickles, so that reading one runs
+    no code; those of earlier versions, which do, are refused."""
 
     @property
     def after_interruption(self) -> str:
         """The line that goes on with the run."""
         return f"go on with: shake train --run {self.run_directory} --resume"
 
+    def check_words(self, words: Sequence[str]) -> None:
+        """Raise RunDirectoryError if a run is to be resumed with an option that differs from its own.
+
+        The options are read again with the run's own for defaults, so that what differs then was given.
+        """
+        if not self.resume or not (self.run_directory / CONFIG).exists():
+            return
+        stored = read_config(self.run_directory)
+        given = tyro.cli(Train, args=list(words), default=replace(self, config=stored)).config
+        # What --set gives is put behind the run's own.
+        changes = self.config.scenario.set or stored.scenario.set
+        given = replace(given, scenario=replace(given.scenario, set=changes))
+        remedy = "leave the options away, or begin another run with them"
+        require_same(given, self.run_directory, remedy)
+
     def run(self, console: Console) -> dict[str, Any]:
         """Train in sight of a person, and say where the policy lies."""
+        from agents.run_directory import contents
         from agents.train import resume, train
         from agents.training_view import TrainingView
 
+        begins = self.run_directory.is_dir() and not contents(self.run_directory)
+        if self.resume and begins:
+            console.print(f"{self.run_directory} is empty: the run begins, with the options given here")
         with TrainingView(f"training {self.run_directory.name}") as view:
-            if self.resume:
+            if self.resume and not begins:
                 result = resume(self.run_directory, report=view)
             else:
                 config = replace(self.config, scenario=self.config.scenario.without_file())

@@ -18,6 +18,7 @@ import numpy as np
 import shake_env
 from agents.free_design import FREE, as_free, free_baseline
 from agents.own_controller import is_own_controller, own_baseline, own_source
+from agents.run_directory import file_errors
 from baselines.catalogue import BASELINES, Baseline, Tunable
 from baselines.registry import parameter_values
 from baselines.tuned_values import TunedEntry, TunedValues, read_tuned, write_tuned
@@ -145,7 +146,10 @@ def searched(name: str, scenario: Scenario) -> Baseline:
 def starting_points(
     name: str, scenario: Scenario, tuned: TunedValues | None = None
 ) -> list[dict[str, float]]:
-    """Return what is tried after the defaults: for the free design what others were tuned to."""
+    """Return what is tried after the defaults: for the free design what others were tuned to.
+
+    Values outside what is searched are left out.
+    """
     if name != FREE:
         return []
     points = []
@@ -155,7 +159,8 @@ def starting_points(
         if values.source != "rule":
             accommodates = other == "lqg-accommodating"
             points.append(as_free(scenario, values.parameters, accommodates=accommodates))
-    return points
+    free = free_baseline(scenario).tunable
+    return [p for p in points if all(free[n].low <= value <= free[n].high for n, value in p.items())]
 
 
 def trials_of(budget: int, steps: int) -> int:
@@ -220,7 +225,12 @@ def search(
             }
         )
 
-    storage.parent.mkdir(parents=True, exist_ok=True)
+    distributions = {
+        each: optuna.distributions.FloatDistribution(t.low, t.high, log=t.logarithmic)
+        for each, t in tunable.items()
+    }
+    with file_errors(storage):
+        storage.parent.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(
         study_name=study_name, storage=f"sqlite:///{storage}", load_if_exists=True
@@ -228,15 +238,30 @@ def search(
     done = _finished(study)
     # A resumed search draws from a seed of its own, or it would repeat its first trials.
     study.sampler = optuna.samplers.TPESampler(seed=seed + 1000 * done, multivariate=True)
-    if done == 0:
-        for start in starts:
-            study.enqueue_trial(dict(start))
+    # The starts are put in when their cost is known, and looked for by their values: a search that was
+    # cut in one of them tries it again, before any other.
+    for start in starts:
+        if done < total and _value_at(study, start) is None:
+            study.add_trial(
+                optuna.trial.create_trial(
+                    params=dict(start), distributions=distributions, value=cost(dict(start))
+                )
+            )
+            done = _finished(study)
+            on_trial(done, total, study.best_value)
     while done < total:
         study.optimize(objective, n_trials=1)
         done = _finished(study)
         on_trial(done, total, study.best_value)
-    default = next(t.value for t in study.trials if t.value is not None)
+    default = _value_at(study, starts[0])
+    assert default is not None  # it is the first trial, and there is one
     return Found(dict(study.best_params), float(study.best_value), float(default), done)
+
+
+def _value_at(study: Any, start: Mapping[str, float]) -> float | None:
+    """Return the cost of the first finished trial of these values, None if there is none."""
+    values = (t.value for t in study.trials if t.value is not None and t.params == dict(start))
+    return next(values, None)
 
 
 def _finished(study: Any) -> int:

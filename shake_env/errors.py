@@ -56,6 +56,10 @@ class RunDirectoryError(ShakeError):
     """A training run's directory exists already, or holds nothing to resume."""
 
 
+class FileError(ShakeError):
+    """A file or folder cannot be read or written, or does not hold what it should."""
+
+
 class NumericalError(ShakeError):
     """A Riccati, Lyapunov or discretisation result failed its own check."""
 

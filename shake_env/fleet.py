@@ -43,6 +43,7 @@ class Fleet:
             raise ScenarioError("uncertainty", scenario.uncertainty, "is not active: nothing to draw")
         self.scenario = scenario
         self.plants: list[Scenario] = [scenario] * lanes  # the true scenario of each lane
+        self._values: list[dict[str, float]] = [{}] * lanes  # what was drawn for each
         self._dynamics: dict[str, Any] = {
             name: _repeat(getattr(nominal.dynamics, name), lanes) for name in nonlinear_dynamics.ARRAYS
         }
@@ -74,9 +75,10 @@ class Fleet:
     def draw(self, lanes: Sequence[int], streams: Sequence[np.random.Generator]) -> None:
         """Give each of `lanes` a new plant, drawn from its stream."""
         scenario, index = self.scenario, np.asarray(lanes, dtype=int)
-        drawn = [scenario.drawn(stream) for stream in streams]
-        for lane, true in zip(lanes, drawn, strict=True):
-            self.plants[lane] = true
+        values = [scenario.uncertainty.sample(stream) for stream in streams]
+        drawn = [scenario.with_plant(each) for each in values]
+        for lane, each, true in zip(lanes, values, drawn, strict=True):
+            self._values[lane], self.plants[lane] = each, true
         # All at once, from parameters whose numbers are arrays: one by one, Python costs ten times what
         # the arithmetic does.
         actuator = stacked([true.actuator for true in drawn])
@@ -104,27 +106,27 @@ class Fleet:
             stack[index] = getattr(maps.yielding, name)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return everything that `restore` needs."""
-        stacks = (
-            self._dynamics, self._cost, self._reference, self._noise, self._record, self._floors,
-            self.plants,
-        )  # fmt: skip
-        return {"stacks": copy.deepcopy(stacks)}
+        """Return everything that `restore` needs, as arrays and numbers."""
+        stacks = {
+            "dynamics": self._dynamics,
+            "cost": self._cost,
+            "reference": self._reference,
+            "noise": self._noise,
+            "record": self._record,
+            "floors": self._floors,
+        }
+        return {**copy.deepcopy(stacks), "values": [dict(values) for values in self._values]}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Take the plants of a `snapshot`."""
-        dynamics, cost, yielding, noise, record, floors, plants = snapshot["stacks"]
-        for ours, theirs in (
-            (self._dynamics, dynamics),
-            (self._cost, cost),
-            (self._reference, yielding),
-        ):
-            for name, stack in ours.items():
-                stack[...] = theirs[name]
-        self._noise[...], self._record[...] = noise, record
+        for name in ("dynamics", "cost", "reference"):
+            for part, stack in getattr(self, f"_{name}").items():
+                stack[...] = snapshot[name][part]
+        self._noise[...], self._record[...] = snapshot["noise"], snapshot["record"]
         if self._floors is not None:
-            self._floors[...] = floors
-        self.plants[:] = plants
+            self._floors[...] = snapshot["floors"]
+        self._values[:] = [dict(values) for values in snapshot["values"]]
+        self.plants[:] = [self.scenario.with_plant(values) for values in self._values]
 
 
 def _repeat(matrix: FloatArray, lanes: int) -> FloatArray:

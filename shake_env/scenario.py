@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -121,7 +122,10 @@ class Scenario:
 
     def drawn(self, stream: np.random.Generator) -> Scenario:
         """Return this scenario with a true plant drawn from its uncertainty."""
-        values = self.uncertainty.sample(stream)
+        return self.with_plant(self.uncertainty.sample(stream))
+
+    def with_plant(self, values: Mapping[str, float]) -> Scenario:
+        """Return this scenario with these values of its uncertain parameters, by their names."""
         changes: dict[str, Any] = {}
         specimen = {name: values[name] for name in UNIFORM if name in values}
         if specimen:

@@ -17,7 +17,7 @@ from agents.algorithm_options import (
     TD3Options,
     TQCOptions,
 )
-from agents.checkpoint import checkpoints
+from agents.checkpoint import checkpoint_steps, checkpoints
 from agents.config import TrainConfig, read_config
 from agents.options import ScenarioOptions
 from agents.policy_file import load_policy
@@ -86,8 +86,7 @@ def test_a_damaged_newest_checkpoint_falls_back_to_the_one_before(tmp_path):
     config = small("ppo")
     whole = train(config, tmp_path / "run")
     older, newest = checkpoints(tmp_path / "run")
-    state = newest / "state.pt"
-    state.write_bytes(state.read_bytes()[:1000])
+    newest.write_bytes(newest.read_bytes()[:1000])
     assert resume(tmp_path / "run").cost == whole.cost
     assert older.name < newest.name
 
@@ -108,21 +107,28 @@ def test_a_killed_process_leaves_a_run_that_resumes(tmp_path):
     process.wait()
     assert len(checkpoints(run)) >= 1
     config = json.loads((run / "config.json").read_text())
-    config["total_steps"] = int(checkpoints(run)[-1].name.removeprefix("step-")) + 256
+    config["total_steps"] = checkpoint_steps(checkpoints(run)[-1]) + 256
     (run / "config.json").write_text(json.dumps(config))
     assert resume(run).steps >= config["total_steps"]
 
 
-def test_a_run_directory_that_exists_is_refused(tmp_path):
-    with pytest.raises(RunDirectoryError, match=r"run directory.*exists already.*--resume"):
+def test_a_run_directory_that_holds_something_is_refused_with_what_it_holds(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(RunDirectoryError, match=r"holds no run, but notes.txt: move it away"):
         train(small("ppo"), tmp_path)
+    (tmp_path / "config.json").write_text(json.dumps(small("ppo").to_json()))
+    (tmp_path / "policy.safetensors").write_bytes(b"")
+    with pytest.raises(RunDirectoryError, match=r"exists already.*policy.safetensors.*--resume"):
+        train(small("ppo"), tmp_path)
+    assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
 def test_nothing_to_resume_is_said(tmp_path):
-    with pytest.raises(RunDirectoryError, match=r"no readable config.json"):
+    with pytest.raises(RunDirectoryError, match=r"config.json.*no such file"):
         resume(tmp_path)
     (tmp_path / "config.json").write_text(json.dumps(small("ppo").to_json()))
-    (tmp_path / "checkpoints/step-0000000256").mkdir(parents=True)  # without what it should hold
+    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / "checkpoints/step-000000000256.safetensors").write_bytes(b"")
     with pytest.raises(RunDirectoryError, match="no readable checkpoint"):
         resume(tmp_path)
 

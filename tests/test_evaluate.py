@@ -173,7 +173,7 @@ def test_entries_are_named_grouped_and_refused(scenario, two_seeds, tmp_path):
     assert contestant("policy", scenario).policies[0].card == load_policy(shipped_policy()).card
     with pytest.raises(ScenarioError, match="did you mean 'policy'"):
         contestant("polcy", scenario)
-    with pytest.raises(PolicyFileError, match="holds neither"):
+    with pytest.raises(PolicyFileError, match=r"holds no policy\.safetensors or best"):
         contestant(str(tmp_path), scenario)
     with pytest.raises(PolicyFileError, match="observation size"):
         contestant(str(two_seeds), make_scenario("laboratory"))

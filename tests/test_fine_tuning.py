@@ -24,8 +24,9 @@ from agents.models import new_model
 from agents.options import ScenarioOptions
 from agents.policy_file import digest, load_policy
 from agents.report_estimates import learning_curve
+from agents.run_directory import FIRST
 from agents.shipped import shipped_policy
-from agents.train import FIRST, resume, train, training_tables
+from agents.train import resume, train, training_tables
 from shake_env.errors import PolicyFileError
 
 FRICTION = ScenarioOptions(set=("nonlinearity.friction.coulomb=300",))
@@ -128,7 +129,7 @@ def test_a_run_begins_where_its_policy_stands_and_says_so(tmp_path):
     assert curves[0] == curves[1]
     assert curves[0][512] != begun  # it did not stand still
     models = [
-        load_checkpoint(tmp_path / run, "ppo", training_tables(config, config.scenario.build()), "cpu")
+        load_checkpoint(tmp_path / run, config, training_tables(config, config.scenario.build()))
         for run in ("second", "cut")
     ]
     vectors = [torch.nn.utils.parameters_to_vector(model.policy.parameters()) for model in models]

@@ -5,15 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import PPO
 
 from agents.algorithm_options import AnalyticOptions, PPOOptions
-from agents.checkpoint import checkpoints
+from agents.checkpoint import load_checkpoint
 from agents.config import TrainConfig
 from agents.mirror import mirror_averaged
 from agents.policy_file import PolicyFile, load_policy
 from agents.shipped import shipped_policy
-from agents.train import train
+from agents.train import train, training_tables
 from shake_env.errors import ParameterError, PolicyFileError
 
 
@@ -72,8 +71,9 @@ def test_a_run_keeps_the_average_and_trains_as_without(tmp_path):
     config = TrainConfig(ppo=ppo, total_steps=128, evaluations=1, evaluation_earthquakes=2, episode=2.0)
     for name, mirrored in (("plain", False), ("mirrored", True)):
         train(replace(config, mirrored=mirrored), tmp_path / name)
+    tables = training_tables(config, config.scenario.build())
     plain, mirrored = (
-        PPO.load(checkpoints(tmp_path / name)[-1] / "model.zip") for name in ("plain", "mirrored")
+        load_checkpoint(tmp_path / name, config, tables) for name in ("plain", "mirrored")
     )
     for one, other in zip(plain.policy.parameters(), mirrored.policy.parameters(), strict=True):
         assert torch.equal(one, other)

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 from dataclasses import replace
 
 import optuna
@@ -27,6 +28,7 @@ from agents.recipe_search import (
 from agents.recipe_space import Choice, Range, own_values, space, suitable_laws, trial_config
 from agents.recipe_trace import Trace, TrialRow, markdown, put_searches, read_trace, write_trace
 from agents.recipes import RECIPES, Recipe
+from agents.run_directory import locked
 from agents.train import EVALUATION_SEED
 from baselines.lqr import lqr
 from shake_env.errors import ParameterError, RunDirectoryError, ScenarioError
@@ -248,12 +250,11 @@ def test_a_storage_with_another_recipe_and_a_foreign_run_are_left_alone(tmp_path
 
 
 def test_two_processes_do_not_run_one_search(tmp_path):
-    fcntl = pytest.importorskip("fcntl")
-    (tmp_path / SEARCH.name).mkdir(parents=True)
-    with (tmp_path / SEARCH.name / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        with pytest.raises(RunDirectoryError, match="another process"):
-            search_recipe(SEARCH, tmp_path / "r.db", tmp_path, trials=1)
+    with (
+        locked(tmp_path / SEARCH.name),
+        pytest.raises(RunDirectoryError, match=f"in use by process {os.getpid()}"),
+    ):
+        search_recipe(SEARCH, tmp_path / "r.db", tmp_path, trials=1)
 
 
 @pytest.mark.parametrize(

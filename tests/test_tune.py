@@ -3,10 +3,11 @@
 import json
 
 import numpy as np
+import optuna
 import pytest
 
 from agents.__main__ import main
-from agents.tune import FAILED, keep, tune
+from agents.tune import FAILED, keep, search, tune
 from baselines import registry
 from baselines.catalogue import BASELINES, Baseline, Tunable
 from baselines.lqr import LinearFeedback, sampled_lqr
@@ -50,6 +51,34 @@ def test_a_search_goes_on_where_it_stopped(bench, tmp_path):
     assert again.cost <= first.cost and again.default_cost == first.default_cost
     same = tune("scaled", SHORT, tmp_path / "u.db", budget=4 * 800, earthquakes=8)
     assert same.parameters == first.parameters  # the seed decides
+
+
+@pytest.mark.parametrize("total", [1, 3, 5])
+def test_a_search_that_was_cut_in_its_first_trial_keeps_the_defaults_cost(tmp_path, total):
+    tunable = {"x": Tunable(0.0, 10.0, 5.0, logarithmic=False)}
+    starts = [{"x": 5.0}, {"x": 1.0}, {"x": 9.0}]
+
+    def cost(values):
+        return (values["x"] - 1.0) ** 2
+
+    def cut(values):
+        raise KeyboardInterrupt
+
+    def run(name, cost):
+        return search(cost, tunable, tmp_path / "t.db", name, total, 0, lambda *a: None, starts)
+
+    whole = run("whole", cost)
+    with pytest.raises(KeyboardInterrupt):
+        run("cut", cut)
+    resumed = run("cut", cost)
+    assert resumed.default_cost == whole.default_cost == 16.0
+    assert (resumed.trials, resumed.cost, resumed.parameters) == (total, whole.cost, whole.parameters)
+    # Cut in the second one, too, and as earlier versions left it: the others queued, the first lost.
+    study = optuna.create_study(study_name="queued", storage=f"sqlite:///{tmp_path / 't.db'}")
+    for start in starts:
+        study.enqueue_trial(start)
+    study.ask()
+    assert run("queued", cost).default_cost == 16.0
 
 
 def test_kept_results_are_what_the_registry_takes(bench, tmp_path, monkeypatch):

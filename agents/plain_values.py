@@ -1,0 +1,86 @@
+"""Plain JSON values to typed dataclasses, with an error that names the field; how two of them differ."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+Value = TypeVar("Value")
+
+
+def typed(kind: type[Value], values: object, name: str = "") -> Value:
+    """Return the dataclass `kind` that plain values describe.
+
+    Parameters
+    ----------
+    kind
+        A dataclass of numbers, words, truth values, None, tuples of these and other dataclasses. Fields
+        that are not given take their defaults.
+    values
+        What was read; an object that is no mapping is refused.
+    name
+        Of the value, for errors.
+
+    Raises
+    ------
+    ValueError
+        With one sentence, if a field is missing, unknown or of another type. What `kind` itself refuses
+        it raises.
+    """
+    if not isinstance(values, Mapping):
+        raise ValueError(f"{name or 'the whole'} must be a JSON object")
+    hints, prefix = _hints(kind), f"{name}." if name else ""
+    for key in values:
+        if key not in hints:
+            raise ValueError(f"{prefix}{key} is unknown")
+    try:
+        return kind(**{key: _typed(hints[key], value, prefix + key) for key, value in values.items()})
+    except TypeError as error:  # a field without a default is not given
+        raise ValueError(f"{name or 'the whole'} is incomplete ({error})") from None
+
+
+@cache
+def _hints(kind: type[Any]) -> dict[str, Any]:
+    hints = get_type_hints(kind)
+    return {field.name: hints[field.name] for field in fields(kind)}
+
+
+def _typed(hint: Any, value: Any, name: str) -> Any:
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        if value is None and type(None) in arguments:
+            return None
+        (rest,) = (each for each in arguments if each is not type(None))
+        return _typed(rest, value, name)
+    if origin is Literal:
+        if value not in arguments:
+            raise ValueError(f"{name} is {value!r}: known are {', '.join(map(repr, arguments))}")
+        return value
+    if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise ValueError(f"{name} is {value!r}: must be a list")
+        return tuple(_typed(arguments[0], each, name) for each in value)
+    if is_dataclass(hint):
+        return typed(hint, value, name)  # type: ignore[arg-type]
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return value
+    if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
+        raise ValueError(f"{name} is {value!r}: must be of type {hint.__name__}")
+    return value
+
+
+def differences(one: object, other: object, name: str = "") -> dict[str, tuple[Any, Any]]:
+    """Return the fields that differ between two dataclasses of one kind, by path, with both values."""
+    if not is_dataclass(one) or type(one) is not type(other):
+        return {} if one == other else {name: (one, other)}
+    prefix = f"{name}." if name else ""
+    return {
+        path: pair
+        for field in fields(one)
+        for path, pair in differences(
+            getattr(one, field.name), getattr(other, field.name), prefix + field.name
+        ).items()
+    }

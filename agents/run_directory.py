@@ -1,0 +1,353 @@
+"""Run directories and result files: replaced whole, read with checks, held by one process at a time."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from shake_env.errors import FileError, RunDirectoryError, ShakeError
+
+CONFIG = "config.json"
+EVALUATIONS = "evaluations.jsonl"
+RESULT = "result.json"
+PROGRESS = "progress.json"
+POLICY = "policy.safetensors"  # of a finished run
+BEST = "best.safetensors"  # the policy that did best so far
+FIRST = "first.safetensors"  # the policy that the run began with, if any
+CHECKPOINTS = "checkpoints"
+LOCK, OWNER = ".lock", ".owner.json"
+
+LARGEST_JSON = 256 * 2**20  # [byte] a larger file is none of this program's
+_PARTIAL = re.compile(r"\..+\.\d+\.partial")  # name of a file that is not complete
+_REMEDIES = {
+    errno.ENOSPC: "the disk is full: free some space, then give the same command again",
+    errno.EDQUOT: "the quota is used up: free some space, then give the same command again",
+    errno.EROFS: "the file system is read-only: give a folder that can be written",
+    errno.EACCES: "no permission: give a folder that can be written",
+    errno.EPERM: "no permission: give a folder that can be written",
+}
+
+
+@contextmanager
+def file_errors(path: Path) -> Iterator[None]:
+    """Turn an `OSError` into a `FileError` that names the file; `path` where the error names none."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None:  # none of the operating system: a library's own
+            raise
+        remedy = _REMEDIES.get(error.errno, f"{error.strerror}: give another path")
+        raise FileError("file", os.fspath(error.filename or path), remedy) from error
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give the path of a new file that takes the place of `path` once it is complete and on the disk.
+
+    Folders on the way are made. Readers see the old file or the new one, whatever is interrupted.
+
+    Raises
+    ------
+    FileError
+        If the folder cannot be written, or the disk is full.
+    """
+    with file_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+        try:
+            yield partial
+            with partial.open("rb+") as file:
+                os.fsync(file.fileno())
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+        _sync_folder(path.parent)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Replace a file by one with this text, as :func:`replacing` does."""
+    with replacing(path) as partial:
+        partial.write_text(text, encoding="utf-8", newline="\n")
+
+
+def write_json(path: Path, value: Any, indent: int | None = 2) -> None:
+    """Replace a file by one with this value as JSON, as :func:`replacing` does."""
+    write_text(path, json.dumps(value, indent=indent) + "\n")
+
+
+def require_writable(folder: Path) -> None:
+    """Make a folder, and raise FileError unless files can be made in it."""
+    probe = folder / f".probe.{os.getpid()}.partial"
+    with file_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Return the value of a JSON text.
+
+    Raises
+    ------
+    ValueError
+        With one sentence, whatever is wrong with it: encoding, syntax, depth.
+    """
+    try:
+        return json.loads(text.decode() if isinstance(text, bytes) else text)
+    except UnicodeDecodeError:
+        raise ValueError("is no UTF-8 text") from None
+    except RecursionError:
+        raise ValueError("is nested too deeply") from None
+    except ValueError as error:
+        raise ValueError(f"is no complete JSON ({error})") from None
+
+
+def read_json(
+    path: Path, kind: type[ShakeError] = FileError, field: str = "file", largest: int = LARGEST_JSON
+) -> dict[str, Any]:
+    """Return the JSON object that a file holds.
+
+    Parameters
+    ----------
+    path
+        A regular file.
+    kind, field
+        Of the error.
+    largest
+        Size [byte] above which it is not read.
+
+    Raises
+    ------
+    ShakeError
+        Of the `kind`, if the file is missing, no regular file, too large, or holds no JSON object.
+    """
+    try:
+        if not path.is_file():
+            raise kind(field, str(path), "there is no such file")
+        if path.stat().st_size > largest:
+            raise kind(field, str(path), f"is larger than {largest} byte")
+        value = parse_json(path.read_bytes())
+    except OSError as error:
+        raise kind(field, str(path), f"cannot be read ({error.strerror})") from error
+    except ShakeError:
+        raise
+    except ValueError as error:
+        raise kind(field, str(path), str(error)) from error
+    if not isinstance(value, dict):
+        raise kind(field, str(path), "holds no JSON object")
+    return value
+
+
+def append_row(path: Path, row: dict[str, Any]) -> None:
+    """Append a row to a file of JSON lines; half a line that an interruption left is dropped first.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written.
+    """
+    with file_errors(path), path.open("ab+") as file:
+        file.seek(0)
+        content = file.read()
+        end = content.rfind(b"\n") + 1
+        if end < len(content):
+            if _object(content[end:]) is None:
+                file.truncate(end)
+            else:
+                file.write(b"\n")
+        file.write(json.dumps(row).encode() + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a file of JSON lines, without half a line at its end; none without a file.
+
+    Raises
+    ------
+    RunDirectoryError
+        If the file cannot be read, or a line before the last is no JSON object.
+    """
+    if not path.exists():
+        return []
+    try:
+        lines = path.read_bytes().split(b"\n")
+    except OSError as error:
+        raise RunDirectoryError("file", str(path), f"cannot be read ({error.strerror})") from error
+    rows = []
+    for number, line in enumerate(lines, start=1):
+        value = _object(line)
+        if value is not None:
+            rows.append(value)
+        elif number < len(lines):
+            raise RunDirectoryError(
+                "file", str(path), f"line {number} is no JSON object: correct it, or delete that line"
+            )
+    return rows
+
+
+def evaluations(run: Path) -> list[tuple[int, float]]:
+    """Return (steps, cost relative to the reference's) of each evaluation of a run, as they were made.
+
+    Raises
+    ------
+    RunDirectoryError
+        If the file cannot be read, or a row is no evaluation.
+    """
+    file = run / EVALUATIONS
+    try:
+        return [(int(row["steps"]), float(row["cost_ratio"])) for row in read_rows(file)]
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, ShakeError):
+            raise
+        raise RunDirectoryError(
+            "file", str(file), f"holds a row that is no evaluation ({error})"
+        ) from error
+
+
+def _object(line: bytes) -> dict[str, Any] | None:
+    try:
+        value = parse_json(line)
+    except ValueError:
+        return None
+    return value if isinstance(value, dict) else None
+
+
+@contextmanager
+def locked(folder: Path, wait: float = 0.0) -> Iterator[None]:
+    """Hold a folder, which is made if need be, against every other process.
+
+    The lock is the operating system's and ends with the process, so that the next one takes over what
+    a killed one held. A file beside it says who holds it.
+
+    Parameters
+    ----------
+    folder
+        A run directory, or the folder of a search.
+    wait
+        Time to wait for another process to end [s].
+
+    Raises
+    ------
+    RunDirectoryError
+        If another process holds it.
+    FileError
+        If the folder cannot be written.
+    """
+    owner = folder / OWNER
+    with file_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / LOCK)
+        try:
+            lock.acquire(timeout=wait)
+        except Timeout:
+            raise RunDirectoryError("run directory", str(folder), _held_by(owner)) from None
+    try:
+        _remove(entry for entry in folder.iterdir() if _PARTIAL.fullmatch(entry.name))
+        write_json(
+            owner, {"pid": os.getpid(), "host": socket.gethostname(), "started": time.ctime()}, None
+        )
+        yield
+    finally:
+        with suppress(OSError):  # the lock is what counts
+            owner.unlink(missing_ok=True)
+        lock.release()
+
+
+def _held_by(owner: Path) -> str:
+    try:
+        known = read_json(owner, largest=4096)
+    except ShakeError:  # the other process is about to write it
+        known = {}
+    who = f"process {known.get('pid', 'unknown')} on host {known.get('host', 'unknown')}"
+    return (
+        f"is in use by {who}, since {known.get('started', 'now')}: wait until it has ended, or end it, "
+        "or name another directory"
+    )
+
+
+def contents(run: Path) -> list[str]:
+    """Return the names of what a directory holds, sorted, but for the lock's and incomplete files."""
+    if not run.is_dir():
+        return []
+    with file_errors(run):
+        names = [entry.name for entry in run.iterdir()]
+    return sorted(n for n in names if n not in (LOCK, OWNER) and not _PARTIAL.fullmatch(n))
+
+
+def described(names: Iterable[str], most: int = 6) -> str:
+    """Return names in a sentence's form, at most so many of them."""
+    names = list(names)
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
+def create(run: Path, fill: Callable[[Path], None]) -> None:
+    """Make a run directory that exists under its name only when `fill` has put its first files in it.
+
+    A directory that is there already and empty is filled in place.
+
+    Raises
+    ------
+    FileError
+        If it cannot be written, or another process made one of that name in the meantime.
+    """
+    with file_errors(run):
+        if run.is_dir():
+            fill(run)
+            return
+        run.parent.mkdir(parents=True, exist_ok=True)
+        partial = run.with_name(f".{run.name}.{os.getpid()}.partial")
+        partial.mkdir(exist_ok=True)
+        try:
+            fill(partial)
+            partial.rename(run)
+        except BaseException:
+            _remove(partial.iterdir())
+            partial.rmdir()
+            raise
+        _sync_folder(run.parent)
+
+
+def forget_attempt(run: Path) -> None:
+    """Delete what an attempt that left no checkpoint has written: evaluations, best policy, progress.
+
+    The caller has made sure that the directory is a run of this configuration. Nothing else is touched.
+    """
+    with file_errors(run):
+        _remove(run / name for name in (EVALUATIONS, BEST, PROGRESS))
+
+
+def policy_of_run(run: Path) -> Path:
+    """Return the policy file of a run directory: of a finished run its policy, else its best so far."""
+    best = run / BEST
+    return best if best.is_file() and not (run / POLICY).is_file() else run / POLICY
+
+
+def _remove(files: Iterable[Path]) -> None:
+    for file in files:
+        if file.is_file() or file.is_symlink():
+            file.unlink(missing_ok=True)
+
+
+def _sync_folder(folder: Path) -> None:
+    if sys.platform == "win32":
+        return  # folders cannot be opened there
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError:  # some network file systems have no such thing
+        pass
+    finally:
+        os.close(descriptor)
