@@ -15,6 +15,7 @@ from shake_env.errors import ParameterError
 from shake_env.motion import RecordedMotion, band_pass, resample, target_history
 from shake_env.parameters import Actuator, FloatArray, Specimen, require_non_negative, require_positive
 from shake_env.records import Record
+from shake_env.records.record import PREPARATION
 
 SUPPLY_PRESSURE = 21e6  # [Pa] the rated 50 kN over the piston's area
 SOFT_STROKE = 0.070  # [m] to either side
@@ -72,8 +73,8 @@ def resampled(record: Record, sampling_interval: float) -> Record:
 
 
 def _prepared(record: Record, acceleration: FloatArray, note: str) -> Record:
-    done = sum(key.startswith("preparation ") for key, _ in record.attribution)
-    attribution = (*record.attribution, (f"preparation {done + 1}", note))
+    done = sum(key.startswith(PREPARATION) for key, _ in record.attribution)
+    attribution = (*record.attribution, (f"{PREPARATION}{done + 1}", note))
     return Record(record.name, acceleration, record.sampling_interval, attribution)
 
 
