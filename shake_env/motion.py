@@ -11,7 +11,8 @@ import numpy as np
 from scipy.signal import butter, firwin, resample_poly, sosfiltfilt
 
 from shake_env.errors import ParameterError
-from shake_env.parameters import FloatArray, is_number, require_non_negative, require_positive
+from shake_env.parameters import FloatArray, is_number
+from shake_env.ranges import check_ranges
 from shake_env.records import Record, load_record
 from shake_env.rest import RAMP, from_rest, integrals
 
@@ -29,7 +30,7 @@ class Envelope:
     decay_rate: float = 0.3  # [1/s]
 
     def __post_init__(self) -> None:
-        require_non_negative(self, "rise", "hold", "decay_rate")
+        check_ranges(self)
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return the intensity, 0 to 1, at `time` (...) [s]."""
@@ -47,8 +48,7 @@ class FilteredNoise:
     envelope: Envelope | None = None  # None: stationary
 
     def __post_init__(self) -> None:
-        require_positive(self, "duration")
-        require_non_negative(self, "amplitude")
+        check_ranges(self)
 
     def pick(self, stream: np.random.Generator) -> FilteredNoise:
         """Return the motion of an episode: this one; its noise is drawn later."""
@@ -75,11 +75,8 @@ class RecordedMotion:
     def __post_init__(self) -> None:
         if not isinstance(self.record, str | Record):
             raise ParameterError("record", self.record, "must be the name of a record, or a Record")
-        require_positive(self, "time_compression")
-        require_non_negative(self, "amplitude")
-        if self.duration is not None:
-            require_positive(self, "duration")
         check_band(self.highpass_frequency, self.lowpass_frequency, self.source.sampling_interval)
+        check_ranges(self)
 
     @property
     def source(self) -> Record:
@@ -117,7 +114,7 @@ class MotionSet:
             raise ParameterError(
                 "motions", self.motions, "give at least one RecordedMotion or FilteredNoise"
             )
-        require_non_negative(self, "amplitude")
+        check_ranges(self)
 
     @property
     def scaled(self) -> tuple[EpisodeMotion, ...]:
