@@ -19,6 +19,7 @@ except ImportError as missing:  # the environment and LQR install without the co
     sys.exit(f"shake: {missing.name} is not installed: pip install 'shake-env[agents]'")
 
 from agents.bench_command import Bench
+from agents.broken_pipe import end_quietly
 from agents.campaign_command import Results, RunCampaign
 from agents.components_command import Components
 from agents.config import TrainConfig
@@ -251,6 +252,10 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; return 0, 1 if runs failed, 2 for a mistake in what was asked, 130 interrupted."""
+    return end_quietly(lambda: _main(arguments))
+
+
+def _main(arguments: list[str] | None) -> int:
     command = tyro.extras.subcommand_cli_from_dict(
         COMMANDS,
         prog="shake",
