@@ -7,6 +7,7 @@ import os
 import platform
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -106,13 +107,15 @@ def _microseconds(seconds: float | None) -> str:
     return "-" if seconds is None else f"{1e6 * seconds:.0f}"
 
 
-def put_tables(page: Path, results: Sequence[dict[str, Any]]) -> None:
+def put_tables(page: str | PathLike[str], results: Sequence[dict[str, Any]]) -> None:
     """Put the tables of results into a page, each at ``<!-- bench NAME -->``; see `marked_page.put`."""
+    page = Path(page)
     for result in results:
         put(page, f"bench {result['scenario']}", markdown(result), end=result["scenario"])
 
 
-def read_results(folder: Path) -> list[dict[str, Any]]:
+def read_results(folder: str | PathLike[str]) -> list[dict[str, Any]]:
     """Return the results that a folder holds, in the order of `SCENARIOS`."""
+    folder = Path(folder)
     files = [folder / f"bench_{name}.json" for name in SCENARIOS]
     return [json.loads(file.read_text(encoding="utf-8")) for file in files if file.exists()]

@@ -6,6 +6,7 @@ import csv
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, fields
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -86,8 +87,11 @@ def _cells(row: GroupSummary, reference: str) -> list[str]:
     ]
 
 
-def write_files(comparison: Comparison, settings: dict[str, Any], folder: Path) -> list[Path]:
+def write_files(
+    comparison: Comparison, settings: dict[str, Any], folder: str | PathLike[str]
+) -> list[Path]:
     """Write comparison.json, summary.csv, episodes.csv and the figure; return their paths."""
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / "comparison.json", folder / "summary.csv", folder / "episodes.csv"]
     text = json.dumps(comparison.to_json(settings), indent=2) + "\n"

@@ -6,6 +6,7 @@ import os
 import platform
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +83,7 @@ def contestant(text: str, scenario: Scenario) -> Contestant:
     return _learned(name or Path(paths.split(",")[0]).stem, files, scenario)
 
 
-def policy_files(path: Path) -> list[Path]:
+def policy_files(path: str | PathLike[str]) -> list[Path]:
     """Return the policy files that a path stands for: itself, its run's, or those of the runs in it.
 
     Raises
@@ -90,6 +91,7 @@ def policy_files(path: Path) -> list[Path]:
     PolicyFileError
         If there are none.
     """
+    path = Path(path)
     if not path.is_dir():
         return [path]
     if (path / "policy.safetensors").exists():

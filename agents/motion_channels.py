@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,7 @@ class MotionOptions:
     pressure: float | None = None
     """Load pressure that the table has [Pa]."""
 
-    def read(self, path: Path) -> tuple[Record, ...]:
+    def read(self, path: str | PathLike[str]) -> tuple[Record, ...]:
         """Return the records of a file, in SI.
 
         Raises
@@ -54,6 +55,7 @@ class MotionOptions:
         RecordError
             If the file cannot be read, or a channel is all zeros.
         """
+        path = Path(path)
         records = read_motion(path, units=self.units, sampling_interval=self.sampling_interval)
         for record in records:
             if not np.any(record.acceleration):
@@ -123,8 +125,9 @@ class Channel:
         }
 
 
-def channels(path: Path, options: MotionOptions, scenario: Scenario) -> list[Channel]:
+def channels(path: str | PathLike[str], options: MotionOptions, scenario: Scenario) -> list[Channel]:
     """Return every channel of a file, with the scales that the scenario's table needs."""
+    path = Path(path)
     capacity = options.capacity(scenario)
     found = []
     for record in options.read(path):

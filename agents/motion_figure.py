@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -24,12 +25,15 @@ COLUMNS = 3000  # lowest and highest value of each that a curve is drawn with
 MOST_CHANNELS = 6  # a figure
 
 
-def draw(channels: Sequence[Channel], capacity: TableCapacity, folder: Path, title: str) -> list[Path]:
+def draw(
+    channels: Sequence[Channel], capacity: TableCapacity, folder: str | PathLike[str], title: str
+) -> list[Path]:
     """Draw the channels side by side and return the paths written, which are named after `title`.
 
     The curves are of the band that the table repeats, before scaling; lines mark the table's limits.
     Spectra are of the file's samples.
     """
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
     for first in range(0, len(channels), MOST_CHANNELS):

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +85,7 @@ def _cost(row: TrialRow) -> float:
     return math.inf if row.cost is None else row.cost
 
 
-def write_trace(trace: Trace, file: Path) -> None:
+def write_trace(trace: Trace, file: str | PathLike[str]) -> None:
     """Write a trace, a trial on each line; a reader never sees half of it.
 
     Raises
@@ -92,6 +93,7 @@ def write_trace(trace: Trace, file: Path) -> None:
     ParameterError
         If no trial is done, or the file's name is not that of a JSON file.
     """
+    file = Path(file)
     if not trace.trials:
         raise ParameterError("trials", 0, f"none is done of {trace.recipe}: nothing to keep")
     if file.suffix != ".json":
@@ -105,7 +107,7 @@ def write_trace(trace: Trace, file: Path) -> None:
     partial.replace(file)
 
 
-def read_trace(file: Path) -> Trace:
+def read_trace(file: str | PathLike[str]) -> Trace:
     """Return the trace that a file holds.
 
     Raises
@@ -113,6 +115,7 @@ def read_trace(file: Path) -> Trace:
     ParameterError
         If it holds none.
     """
+    file = Path(file)
     try:
         values = json.loads(file.read_text(encoding="utf-8"))
         if values.pop("format") != FORMAT:
@@ -125,8 +128,9 @@ def read_trace(file: Path) -> Trace:
         raise ParameterError("trace", str(file), remedy) from error
 
 
-def read_traces(folder: Path) -> list[Trace]:
+def read_traces(folder: str | PathLike[str]) -> list[Trace]:
     """Return the traces of a folder, in the order of their files' names."""
+    folder = Path(folder)
     return [read_trace(file) for file in sorted(folder.glob(f"{PREFIX}*.json"))]
 
 
@@ -210,6 +214,7 @@ def _chosen(knob: Choice, drawn: Sequence[Value]) -> str:
     return ", ".join(f"{_number(v)} ({drawn.count(v)})" for v in knob.values if v in drawn)
 
 
-def put_searches(page: Path, traces: Sequence[Trace], figures: str = "figures") -> None:
+def put_searches(page: str | PathLike[str], traces: Sequence[Trace], figures: str = "figures") -> None:
     """Put all searches into a page, at ``<!-- recipe searches -->``; see `marked_page.put`."""
+    page = Path(page)
     put(page, "recipe searches", "\n".join(markdown(trace, figures) for trace in traces))

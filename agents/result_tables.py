@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,9 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def write_result(result: dict[str, Any], file: Path) -> None:
+def write_result(result: dict[str, Any], file: str | PathLike[str]) -> None:
     """Write a result; a reader never sees half of it."""
+    file = Path(file)
     file.parent.mkdir(parents=True, exist_ok=True)
     partial = file.with_suffix(".partial")
     partial.write_text(_dumps(result), encoding="utf-8")
@@ -32,8 +34,9 @@ def _dumps(result: dict[str, Any]) -> str:
     return f"{head},\n{tail}\n}}\n"
 
 
-def read_results(folder: Path) -> dict[str, dict[str, Any]]:
+def read_results(folder: str | PathLike[str]) -> dict[str, dict[str, Any]]:
     """Return the results of a folder by the name of their files, without its prefix."""
+    folder = Path(folder)
     return {
         file.stem.removeprefix(PREFIX): json.loads(file.read_text(encoding="utf-8"))
         for file in sorted(folder.glob(f"{PREFIX}*.json"))
@@ -102,7 +105,7 @@ def interval(found: dict[str, float] | None, digits: int, scale: float = 1.0) ->
     return value if low == value == high else f"{value} [{low}, {high}]"
 
 
-def put_tables(page: Path, results: dict[str, dict[str, Any]]) -> list[str]:
+def put_tables(page: str | PathLike[str], results: dict[str, dict[str, Any]]) -> list[str]:
     """Put the tables of results into a page, each at ``<!-- evaluation NAME -->``.
 
     Returns
@@ -114,6 +117,7 @@ def put_tables(page: Path, results: dict[str, dict[str, Any]]) -> list[str]:
     ParameterError
         If a place has no end; see `marked_page.put`.
     """
+    page = Path(page)
     missing = []
     for name, result in results.items():
         if has_place(page, f"evaluation {name}"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -186,8 +187,9 @@ def section(result: dict[str, Any], pictures: Sequence[Path] = ()) -> str:
     return "\n".join(parts)
 
 
-def write_robustness(result: dict[str, Any], file: Path) -> None:
+def write_robustness(result: dict[str, Any], file: str | PathLike[str]) -> None:
     """Write a result with a point on a line."""
+    file = Path(file)
     head = json.dumps({key: value for key, value in result.items() if key != "points"}, indent=1)[:-2]
     points = ",\n".join(f"  {json.dumps(point)}" for point in result["points"])
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -196,7 +198,7 @@ def write_robustness(result: dict[str, Any], file: Path) -> None:
     partial.replace(file)
 
 
-def read_robustness(file: Path, scenario: str | None = None) -> dict[str, Any]:
+def read_robustness(file: str | PathLike[str], scenario: str | None = None) -> dict[str, Any]:
     """Return a result.
 
     Parameters
@@ -211,6 +213,7 @@ def read_robustness(file: Path, scenario: str | None = None) -> dict[str, Any]:
     ParameterError
         If the file cannot be read, is no result of ``shake robustness``, or of another scenario.
     """
+    file = Path(file)
     try:
         result: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, json.JSONDecodeError) as error:

@@ -11,6 +11,7 @@ import math
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +52,7 @@ class Tuning:
 def tune(
     name: str,
     scenario: Scenario,
-    storage: Path,
+    storage: str | PathLike[str],
     *,
     budget: int = 4_000_000,
     earthquakes: int = 16,
@@ -85,6 +86,7 @@ def tune(
     ParameterError
         If it has nothing to tune, or the budget is below one trial.
     """
+    storage = Path(storage)
     candidate = searched(name, scenario)
     tunable = candidate.tunable
     if not tunable:
@@ -176,7 +178,7 @@ class Found:
 def search(
     cost: Callable[[dict[str, float]], float],
     tunable: Mapping[str, Tunable],
-    storage: Path,
+    storage: str | PathLike[str],
     study_name: str,
     total: int,
     seed: int,
@@ -187,6 +189,7 @@ def search(
 
     The first trials are `starts`; what the first of them costs is the result's `default_cost`.
     """
+    storage = Path(storage)
     try:
         import optuna
     except ImportError:
@@ -223,8 +226,9 @@ def _finished(study: Any) -> int:
     return sum(trial.value is not None for trial in study.trials)
 
 
-def keep(tuning: Tuning, file: Path) -> None:
+def keep(tuning: Tuning, file: str | PathLike[str]) -> None:
     """Put a result among those that `baselines.registry` reads."""
+    file = Path(file)
     known = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
     known.setdefault(tuning.scenario, {})[tuning.controller] = tuning.to_json()
     text = json.dumps(known, indent=1, sort_keys=True) + "\n"

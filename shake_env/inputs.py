@@ -36,7 +36,8 @@ def _real(action: Any) -> NDArray[np.float64]:
     if type(action) is np.ndarray and action.dtype.kind in "fiub" and action.dtype.itemsize <= 8:
         return action.astype(np.float64, copy=False)
     remedy = "must be an array of real numbers"
-    if isinstance(action, np.ma.MaskedArray):
+    entries = action if isinstance(action, list | tuple) else (action,)
+    if any(isinstance(entry, np.ma.MaskedArray) for entry in entries):
         raise ActionError("action", action, f"{remedy}: fill the masked entries, action.filled(0.0)")
     try:
         with warnings.catch_warnings():

@@ -2,6 +2,7 @@
 
 import copy
 import hashlib
+import math
 import pickle
 import re
 import subprocess

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ _SUFFIXES = (".csv", ".txt", ".dat", ".at2", ".v1", ".v2", ".raw", ".mseed", ".s
 
 
 def read_motion(
-    path: str | Path, *, units: str | None = None, sampling_interval: float | None = None
+    path: str | PathLike[str], *, units: str | None = None, sampling_interval: float | None = None
 ) -> tuple[Record, ...]:
     """Read a file of recorded ground acceleration.
 
