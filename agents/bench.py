@@ -6,6 +6,7 @@ import os
 import platform
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, fields
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -115,8 +116,9 @@ def _microseconds(seconds: float | None) -> str:
     return "-" if seconds is None else f"{1e6 * seconds:.0f}"
 
 
-def put_tables(page: Path, results: Sequence[dict[str, Any]]) -> None:
+def put_tables(page: str | PathLike[str], results: Sequence[dict[str, Any]]) -> None:
     """Put the tables of results into a page, each at ``<!-- bench NAME -->``; see `marked_page.put`."""
+    page = Path(page)
     for result in results:
         put(page, f"bench {result['scenario']}", markdown(result), end=result["scenario"])
 
@@ -163,7 +165,7 @@ def _fits(row: dict[str, Any], name: str) -> bool:
     return isinstance(value, str) if name in _WORDS else is_number(value)
 
 
-def read_results(folder: Path) -> list[dict[str, Any]]:
+def read_results(folder: str | PathLike[str]) -> list[dict[str, Any]]:
     """Return the results that a folder holds, in the order of `SCENARIOS`.
 
     Raises
@@ -171,6 +173,7 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     FileError
         If one is not complete.
     """
+    folder = Path(folder)
     files = [result_file(folder, name) for name in SCENARIOS]
     return [read_result(file) for file in files if file.exists()]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,10 @@ ROWS = (
 
 
 def write_card(
-    file: Path, results: Sequence[Path] = (), limits: str = "", robustness: Path | None = None
+    file: str | PathLike[str],
+    results: Sequence[Path] = (),
+    limits: str = "",
+    robustness: Path | None = None,
 ) -> list[Path]:
     """Write the card of a policy file beside it, and return the files written.
 
@@ -55,6 +59,7 @@ def write_card(
     PolicyFileError
         If the policy cannot be read.
     """
+    file = Path(file)
     policy, sha = load_policy(file), digest(file)
     found = [(result, _row(result, path, sha)) for path, result in _read(results)]
     unlike = [] if robustness is None else robustness_of(robustness, sha)
@@ -73,8 +78,9 @@ def write_card(
     return written
 
 
-def robustness_of(file: Path, sha: str) -> list[str]:
+def robustness_of(file: str | PathLike[str], sha: str) -> list[str]:
     """Return what a robustness result says of the policy with this SHA-256; nothing if it lacks it."""
+    file = Path(file)
     result = read_robustness(file)
     for each in result["controllers"]:
         if each["source"] is not None and each["source"]["sha256"] == sha:
@@ -99,7 +105,7 @@ def _row(result: dict[str, Any], path: Path, sha: str) -> dict[str, Any]:
 
 def card_text(
     policy: PolicyFile,
-    file: Path,
+    file: str | PathLike[str],
     sha: str,
     found: Sequence[tuple[dict[str, Any], dict[str, Any]]],
     figure: Path | None,
@@ -121,6 +127,7 @@ def card_text(
     unlike
         Sentences on tables and motions that it was not trained on.
     """
+    file = Path(file)
     card = policy.card
     config = card.get("config", {})
     scenario = given_options(config.get("scenario", {}))
@@ -239,8 +246,9 @@ def _limits(
     return lines
 
 
-def draw_curve(curve: Sequence[Sequence[float]], file: Path) -> None:
+def draw_curve(curve: Sequence[Sequence[float]], file: str | PathLike[str]) -> None:
     """Draw cost ratio over steps of training."""
+    file = Path(file)
     with figure_style():
         figure = new_figure(5.0, 2.6)
         axes = figure.subplots()

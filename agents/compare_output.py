@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, fields
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -98,8 +99,11 @@ COLUMNS: tuple[tuple[str, Callable[[GroupSummary, str], str]], ...] = (
 )
 
 
-def write_files(comparison: Comparison, settings: dict[str, Any], folder: Path) -> list[Path]:
+def write_files(
+    comparison: Comparison, settings: dict[str, Any], folder: str | PathLike[str]
+) -> list[Path]:
     """Write comparison.json, summary.csv, episodes.csv and the figure; return their paths."""
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / "comparison.json", folder / "summary.csv", folder / "episodes.csv"]
     text = json.dumps(comparison.to_json(settings), indent=2) + "\n"

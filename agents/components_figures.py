@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -52,8 +53,9 @@ FOUR: tuple[dict[str, Any], ...] = (
 )
 
 
-def yielding_figure(bench: Bench, loop: StoreyLoop, folder: Path) -> list[Path]:
+def yielding_figure(bench: Bench, loop: StoreyLoop, folder: str | PathLike[str]) -> list[Path]:
     """Draw the storey's loops: growing cycles, exponents, energy a cycle, and under a record."""
+    folder = Path(folder)
     law = bench.yielding
     k, d_y, force_y = bench.stiffness, law.yield_drift, bench.yield_force
     reach = max(bench.ductilities) * d_y
@@ -126,7 +128,9 @@ def _loop_axes(ax: Axes) -> None:
     ax.set_ylabel("storey force [N]")
 
 
-def friction_figure(bench: Bench, own: TablePeriod, levels: TablePeriod, folder: Path) -> list[Path]:
+def friction_figure(
+    bench: Bench, own: TablePeriod, levels: TablePeriod, folder: str | PathLike[str]
+) -> list[Path]:
     """Draw the law, its loop on the moving table, and what it does to the table's acceleration.
 
     Parameters
@@ -140,6 +144,7 @@ def friction_figure(bench: Bench, own: TablePeriod, levels: TablePeriod, folder:
     folder
         Where to.
     """
+    folder = Path(folder)
     law = bench.friction
     static = law.coulomb if law.static is None else law.static
     with figure_style():
@@ -222,8 +227,9 @@ def _accelerations(
     ax.set_ylabel("table acceleration [m/s²]")
 
 
-def valve_figure(bench: Bench, folder: Path) -> list[Path]:
+def valve_figure(bench: Bench, folder: str | PathLike[str]) -> list[Path]:
     """Draw flow over load pressure, normalised and in shop units, and flow over spool."""
+    folder = Path(folder)
     valve, supply, travel = bench.valve, bench.valve.supply_pressure, bench.valve.spool_limit
     rated = bench.plant.actuator.flow_gain * travel
     orifice = replace(valve, dead_band=0.0)

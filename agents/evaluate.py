@@ -6,6 +6,7 @@ import os
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +93,7 @@ def contestant(text: str, scenario: Scenario) -> Contestant:
     return _learned(name or Path(paths.split(",")[0]).stem, files, scenario)
 
 
-def policy_files(path: Path) -> list[Path]:
+def policy_files(path: str | PathLike[str]) -> list[Path]:
     """Return the policy files that a path stands for: itself, its run's, or those of the runs in it.
 
     Of an interrupted run that is named itself its best policy so far; of a folder of runs those of the
@@ -103,6 +104,7 @@ def policy_files(path: Path) -> list[Path]:
     PolicyFileError
         If there are none.
     """
+    path = Path(path)
     if not path.is_dir():
         return [path]
     if (own := policy_of_run(path)).exists():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import chain
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ FILMS = {".mp4": 30.0, ".gif": 25.0}
 INSTALL = install_hint("agents")
 
 
-def film(path: Path, frames: Frames) -> int:
+def film(path: str | PathLike[str], frames: Frames) -> int:
     """Write frames (height, width, 3), at least one, at the rate of `FILMS`; return their number.
 
     Frames are written as they come, so that memory does not grow with the film.
@@ -29,6 +30,7 @@ def film(path: Path, frames: Frames) -> int:
     DependencyNotInstalled
         If imageio-ffmpeg (mp4) or Pillow (gif) is missing.
     """
+    path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     return _gif(path, frames) if path.suffix.lower() == ".gif" else _mp4(path, frames)
 

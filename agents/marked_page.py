@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
 
 from agents.run_directory import write_text
 from shake_env.errors import ParameterError
 
 
-def has_place(page: Path, place: str) -> bool:
+def has_place(page: str | PathLike[str], place: str) -> bool:
     """Whether a page has a beginning ``<!-- PLACE -->``; False where there is no page."""
+    page = Path(page)
     return page.is_file() and _begin(place) in page.read_text(encoding="utf-8")
 
 
-def put(page: Path, place: str, text: str, end: str | None = None) -> None:
+def put(page: str | PathLike[str], place: str, text: str, end: str | None = None) -> None:
     r"""Replace what stands on a page between ``<!-- PLACE -->`` and ``<!-- end END -->``.
 
     Parameters
@@ -30,6 +32,7 @@ def put(page: Path, place: str, text: str, end: str | None = None) -> None:
     ParameterError
         If there is no such page, or it lacks one of the comments.
     """
+    page = Path(page)
     begin, close = _begin(place), f"<!-- end {end or place} -->"
     if not page.is_file():
         raise ParameterError("page", str(page), "there is no such file")

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from shake_env.capacity import scenario_capacity
+from shake_env.errors import RecordError
 from shake_env.motion import RecordedMotion
 from shake_env.preparation import (
-    RATED_VELOCITY,
-    SOFT_STROKE,
     TableCapacity,
     TableFit,
     fit_amplitude,
@@ -45,13 +46,25 @@ class MotionOptions:
     """Lower end of the band that the table repeats [Hz]; 0 leaves it open."""
     lowpass: float = 25.0
     """Upper end [Hz]; 0 leaves it open, as does a record that is sampled too coarsely for it."""
-    stroke: float = SOFT_STROKE
-    """Displacement that the table has to either side [m]."""
-    velocity: float = RATED_VELOCITY
+    stroke: float | None = None
+    """Displacement that the table has to either side [m]; this and the next three, unset: by the
+    scenario's limits."""
+    velocity: float | None = None
     """Velocity that the table has [m/s]."""
+    acceleration: float | None = None
+    """Acceleration that table and specimen may have [m/s^2]; inf: any."""
+    pressure: float | None = None
+    """Load pressure that the table has [Pa]."""
 
-    def read(self, path: Path) -> tuple[Record, ...]:
-        """Return the records of a file, in SI."""
+    def read(self, path: str | PathLike[str]) -> tuple[Record, ...]:
+        """Return the records of a file, in SI.
+
+        Raises
+        ------
+        RecordError
+            If the file cannot be read, or a channel is all zeros.
+        """
+        path = Path(path)
         records = read_motion(
             path,
             units=self.units,
@@ -61,6 +74,9 @@ class MotionOptions:
             table=self.table,
             allow_seismometers=self.allow_seismometers,
         )
+        for record in records:
+            if not np.any(record.acceleration):
+                raise RecordError(record.name, "all zeros", "holds no motion: give a file with one")
         return tuple(remove_baseline(r, 0) for r in records) if self.remove_offset else records
 
     def motion(self, record: Record) -> RecordedMotion:
@@ -73,10 +89,22 @@ class MotionOptions:
         )
 
     def capacity(self, scenario: Scenario) -> TableCapacity:
-        """Return what the scenario's table can do under its specimen."""
-        return TableCapacity.of(
-            scenario.actuator, scenario.specimen, displacement=self.stroke, velocity=self.velocity
-        )
+        """Return what the scenario's table can do under its specimen, by its limits or those given.
+
+        Raises
+        ------
+        ParameterError
+            If one of those given is out of range.
+        """
+        pressure, area = self.pressure, scenario.actuator.piston_area
+        given = {
+            "displacement": self.stroke,
+            "velocity": self.velocity,
+            "acceleration": self.acceleration,
+            "force": None if pressure is None else pressure * area,
+        }
+        changes = {name: value for name, value in given.items() if value is not None}
+        return replace(scenario_capacity(scenario), **changes)
 
 
 def reading(record: Record) -> str:
@@ -122,8 +150,9 @@ class Channel:
         }
 
 
-def channels(path: Path, options: MotionOptions, scenario: Scenario) -> list[Channel]:
+def channels(path: str | PathLike[str], options: MotionOptions, scenario: Scenario) -> list[Channel]:
     """Return every channel of a file, with the scales that the scenario's table needs."""
+    path = Path(path)
     capacity = options.capacity(scenario)
     found = []
     for record in options.read(path):

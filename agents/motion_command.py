@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -14,9 +15,9 @@ from rich.markup import escape
 import shake_env
 from agents.command_options import CommandOptions
 from agents.motion_channels import Channel, MotionOptions, channels, reading
+from agents.options import ScenarioOptions
 from agents.terminal import print_table
 from shake_env.motion import RecordedMotion
-from shake_env.overrides import make_scenario
 from shake_env.preparation import (
     TableCapacity,
     TableFit,
@@ -65,6 +66,7 @@ def _beyond(fit: TableFit) -> str:
     return {
         "displacement": f"{1e3 * before.displacement:.3g} mm",
         "velocity": f"{before.velocity:.3g} m/s",
+        "acceleration": f"{before.acceleration:.3g} m/s²",
         "force": f"{1e-3 * before.force:.3g} kN",
         "nothing": "-",
     }[fit.governed_by]
@@ -80,20 +82,22 @@ class Motion(CommandOptions):
     Try:
       shake motion CICLC.v1
       shake motion mine.csv --units g --highpass 0.1 --output out/mine
+      shake motion mine.csv --scenario laboratory --stroke 0.05
       shake motion AOM0011801241951.NS --remove-offset --json
     """
 
     file: tyro.conf.Positional[Path]
     """The file."""
+    scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
     options: Annotated[MotionOptions, tyro.conf.arg(name="")] = field(default_factory=MotionOptions)
     output: Path | None = None
-    """Folder for the figure (default: out/motion; with --json: none)."""
+    """Folder for the figure, which has the name of the file (default: out/motion; with --json: none)."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Describe, print, draw."""
         from agents.motion_figure import draw
 
-        scenario = make_scenario("linear")
+        scenario = self.scenario.build()
         found = channels(self.file, self.options, scenario)
         described = [channel.to_json() for channel in found]
         capacity = self.options.capacity(scenario)
@@ -105,8 +109,11 @@ class Motion(CommandOptions):
         return {
             "version": shake_env.__version__,
             "file": str(self.file),
+            "scenario": scenario.name,
             "options": asdict(self.options),
-            "capacity": asdict(capacity),
+            "capacity": {
+                name: value if math.isfinite(value) else None for name, value in vars(capacity).items()
+            },
             "channels": described,
         }
 
@@ -140,15 +147,19 @@ def print_channels(
         rows.append(cells)
     print_table(console, ("channel", *figures, "ampl.\nx", "time\nx", "for its"), rows)
     motion = found[0].by_amplitude.motion
+    limited = math.isfinite(capacity.acceleration)
+    acceleration = f", {capacity.acceleration:.3g} m/s²" if limited else ""
     upper = f"{motion.lowpass_frequency:g}" if motion.lowpass_frequency else "any"
     console.print(
         "Peak, Arias intensity and duration: of the samples in the file. Amplitude or time: either "
         f"factor brings it, in the band of {motion.highpass_frequency or 0.0:g} to {upper} Hz, within "
-        f"{1e3 * capacity.displacement:.3g} mm, {capacity.velocity:.3g} m/s and "
+        f"{1e3 * capacity.displacement:.3g} mm, {capacity.velocity:.3g} m/s{acceleration} and "
         f"{1e-3 * capacity.force:.3g} kN on {capacity.moving_mass:.4g} kg; 1 where it fits as it is."
     )
     if not all(row["time_scale_suffices"] for row in described):
-        console.print("* No time scale brings the force within the table: scale the amplitude.")
+        console.print(
+            "* No time scale brings the force or the acceleration within the table: scale the amplitude."
+        )
     for row in described:
         if abs(row["offset"]) > OFFSET_WORTH_SAYING * row["peak_acceleration"]:
             console.print(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from agents.figure_style import BLUE, GREY, VERMILLION, figure_style, new_figure, save_figure
-from agents.intensity import DAMPING, PERIODS, response_spectrum
+from agents.intensity import DAMPING, PERIODS, REFINED, SAMPLES_A_PERIOD, response_spectrum
 from agents.motion_channels import Channel
 from shake_env.motion import target_history
 from shake_env.preparation import TableCapacity
@@ -19,22 +21,25 @@ from shake_env.preparation import TableCapacity
 FloatArray = NDArray[np.float64]
 
 LONGEST_SPECTRUM = 300_000  # [samples] eqsig takes some 10 us each
-SAMPLES_A_PERIOD = 6  # eqsig gives no response to fewer
 COLUMNS = 3000  # lowest and highest value of each that a curve is drawn with
 MOST_CHANNELS = 6  # a figure
 
 
-def draw(channels: Sequence[Channel], capacity: TableCapacity, folder: Path, title: str) -> list[Path]:
-    """Draw the channels side by side and return the paths written.
+def draw(
+    channels: Sequence[Channel], capacity: TableCapacity, folder: str | PathLike[str], title: str
+) -> list[Path]:
+    """Draw the channels side by side and return the paths written, which are named after `title`.
 
     The curves are of the band that the table repeats, before scaling; lines mark the table's limits.
     Spectra are of the file's samples.
     """
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
     for first in range(0, len(channels), MOST_CHANNELS):
         shown = channels[first : first + MOST_CHANNELS]
-        name = "motion" if len(channels) <= MOST_CHANNELS else f"motion-{first + 1}"
+        stem = re.sub(r"[^\w.-]+", "_", title).strip("._") or "motion"
+        name = stem if len(channels) <= MOST_CHANNELS else f"{stem}-{first + 1}"
         written += _draw(shown, capacity, folder, title, name)
     return written
 
@@ -88,7 +93,14 @@ def _spectrum(panel: Axes, channel: Channel) -> None:
     if len(record.acceleration) > LONGEST_SPECTRUM:
         panel.text(0.5, 0.5, "record too long\nfor a spectrum", ha="center", transform=panel.transAxes)
         return
-    periods = PERIODS[SAMPLES_A_PERIOD * record.sampling_interval <= PERIODS]
+    # A response at less than two samples a period would be that of motion which no sample holds.
+    periods = PERIODS[2.0 * record.sampling_interval <= PERIODS]
+    if len(record.acceleration) * REFINED > LONGEST_SPECTRUM:
+        periods = periods[SAMPLES_A_PERIOD * record.sampling_interval <= periods]
+    if not len(periods):
+        text = "sampled too coarsely\nfor a spectrum"
+        panel.text(0.5, 0.5, text, ha="center", transform=panel.transAxes)
+        return
     panel.plot(periods, response_spectrum(record, periods), color=BLUE)
     peak = float(np.max(np.abs(record.acceleration)))
     panel.axhline(peak, color=GREY, linewidth=1.0, linestyle=(0, (1, 1.2)))

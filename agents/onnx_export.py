@@ -7,6 +7,7 @@ feature map, network, memory, output and base law. A memory is an input and an o
 from __future__ import annotations
 
 import json
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +57,7 @@ class _Graph:
         return found
 
 
-def export_onnx(policy: PolicyFile, path: Path) -> Path:
+def export_onnx(policy: PolicyFile, path: str | PathLike[str]) -> Path:
     """Write a policy as ONNX.
 
     Inputs are ``observation`` (N, n) and, with a memory, ``state_0`` (and ``state_1`` for an LSTM)
@@ -70,6 +71,7 @@ def export_onnx(policy: PolicyFile, path: Path) -> Path:
     PolicyFileError
         If the network reads more than the observation, such as what an estimator shows.
     """
+    path = Path(path)
     if policy.matrix.shape[1] != policy.observation_size:
         raise PolicyFileError("policy", policy.matrix.shape, "an estimator's part has no ONNX form yet")
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from os import PathLike
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -27,8 +28,9 @@ OWN: dict[str, Any] = {"marker": "s", "facecolors": "none", "edgecolors": BLACK,
 BEST: dict[str, Any] = {"marker": "*", "facecolors": ORANGE, "edgecolors": BLACK, "s": 110}
 
 
-def search_figure(trace: Trace, folder: Path) -> Path:
+def search_figure(trace: Trace, folder: str | PathLike[str]) -> Path:
     """Draw a search into `folder` and return the path of its PNG."""
+    folder = Path(folder)
     with figure_style():
         rows = math.ceil(len(trace.space) / ACROSS)
         figure = new_figure(7.0, 0.45 + 2.0 * rows)

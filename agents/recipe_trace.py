@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +86,7 @@ def _cost(row: TrialRow) -> float:
     return math.inf if row.cost is None else row.cost
 
 
-def write_trace(trace: Trace, file: Path) -> None:
+def write_trace(trace: Trace, file: str | PathLike[str]) -> None:
     """Write a trace, a trial on each line; a reader never sees half of it.
 
     Raises
@@ -93,6 +94,7 @@ def write_trace(trace: Trace, file: Path) -> None:
     ParameterError
         If no trial is done, or the file's name is not that of a JSON file.
     """
+    file = Path(file)
     if not trace.trials:
         raise ParameterError("trials", 0, f"none is done of {trace.recipe}: nothing to keep")
     if file.suffix != ".json":
@@ -103,7 +105,7 @@ def write_trace(trace: Trace, file: Path) -> None:
     write_text(file, text)
 
 
-def read_trace(file: Path) -> Trace:
+def read_trace(file: str | PathLike[str]) -> Trace:
     """Return the trace that a file holds.
 
     Raises
@@ -111,6 +113,7 @@ def read_trace(file: Path) -> Trace:
     ParameterError
         If it holds none.
     """
+    file = Path(file)
     try:
         values = read_json(file)
         if values.pop("format") != FORMAT:
@@ -123,8 +126,9 @@ def read_trace(file: Path) -> Trace:
         raise ParameterError("trace", str(file), remedy) from error
 
 
-def read_traces(folder: Path) -> list[Trace]:
+def read_traces(folder: str | PathLike[str]) -> list[Trace]:
     """Return the traces of a folder, in the order of their files' names."""
+    folder = Path(folder)
     return [read_trace(file) for file in sorted(folder.glob(f"{PREFIX}*.json"))]
 
 
@@ -208,6 +212,7 @@ def _chosen(knob: Choice, drawn: Sequence[Value]) -> str:
     return ", ".join(f"{_number(v)} ({drawn.count(v)})" for v in knob.values if v in drawn)
 
 
-def put_searches(page: Path, traces: Sequence[Trace], figures: str = "figures") -> None:
+def put_searches(page: str | PathLike[str], traces: Sequence[Trace], figures: str = "figures") -> None:
     """Put all searches into a page, at ``<!-- recipe searches -->``; see `marked_page.put`."""
+    page = Path(page)
     put(page, "recipe searches", "\n".join(markdown(trace, figures) for trace in traces))

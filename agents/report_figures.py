@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,9 @@ WINDOW = 5.0  # [s] shown of the traced earthquake, about its peak
 LEAST = 1e-12
 
 
-def stills(report: Report, folder: Path) -> list[str]:
+def stills(report: Report, folder: str | PathLike[str]) -> list[str]:
     """Draw every figure that there are data for; return their names, without endings."""
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     drawn = []
     with figure_style():

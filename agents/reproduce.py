@@ -7,6 +7,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ def _silent(_: str) -> None:
 
 @threadpool_limits.wrap(limits=1)  # matrices this small lose time to a second BLAS thread
 def reproduce(
-    output: Path,
+    output: str | PathLike[str],
     progress: Callable[[str], None] = _silent,
     *,
     frequency_points: int = 600,
@@ -53,6 +54,7 @@ def reproduce(
     results
         What ``reproduction.json`` holds, and under ``files`` the paths written.
     """
+    output = Path(output)
     started = time.perf_counter()
     output = Path(output)
     output.mkdir(parents=True, exist_ok=True)

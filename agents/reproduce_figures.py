@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +33,9 @@ LOWEST_SHOWN = 1e-8  # what lies lower is rounding: the printed model's force er
 AIM = {"II": "acceleration tracking", "III": "force tracking"}
 
 
-def transfer_functions(table: str, frequencies: FloatArray, folder: Path) -> list[Path]:
+def transfer_functions(table: str, frequencies: FloatArray, folder: str | PathLike[str]) -> list[Path]:
     """Draw the paper's Figure 3 (Table II) or 4 (Table III), nine cases, both models."""
+    folder = Path(folder)
     q_1, q_2 = WEIGHTS[table]
     dashes: tuple[Any, Any] = ("-", (0, (4, 1.5)))
     with figure_style():
@@ -83,9 +85,10 @@ def transfer_functions(table: str, frequencies: FloatArray, folder: Path) -> lis
 
 
 def added_weight(
-    table: str, weights: FloatArray, sweeps: Sequence[dict[str, Any]], folder: Path
+    table: str, weights: FloatArray, sweeps: Sequence[dict[str, Any]], folder: str | PathLike[str]
 ) -> list[Path]:
     """Draw both norms over the added weight with the published cells laid over them."""
+    folder = Path(folder)
     with figure_style():
         figure = new_figure(8.0, 9.6)
         axes = figure.subplots(4, 3, sharex=True, sharey="row")
@@ -140,8 +143,11 @@ def added_weight(
         return save_figure(figure, folder, f"added_weight_table_{table}")
 
 
-def trade_off(curves: dict[int, list[dict[str, float]]], mass_ratio: float, folder: Path) -> list[Path]:
+def trade_off(
+    curves: dict[int, list[dict[str, float]]], mass_ratio: float, folder: str | PathLike[str]
+) -> list[Path]:
     """Draw force error over acceleration error of the 200 Hz LQR as the two weights are swept."""
+    folder = Path(folder)
     with figure_style():
         figure = new_figure(6.4, 4.4)
         ax = figure.subplots()
@@ -174,8 +180,11 @@ def trade_off(curves: dict[int, list[dict[str, float]]], mass_ratio: float, fold
         return save_figure(figure, folder, "trade_off")
 
 
-def unaware_design(rows: dict[int, dict[str, list[dict[str, float]]]], folder: Path) -> list[Path]:
+def unaware_design(
+    rows: dict[int, dict[str, list[dict[str, float]]]], folder: str | PathLike[str]
+) -> list[Path]:
     """Draw both errors over the specimen's mass for a design without and one with knowledge of it."""
+    folder = Path(folder)
     with figure_style():
         figure = new_figure(7.2, 3.6)
         axes = figure.subplots(1, 2, sharey=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,9 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def write_result(result: dict[str, Any], file: Path) -> None:
+def write_result(result: dict[str, Any], file: str | PathLike[str]) -> None:
     """Write a result; a reader never sees half of it."""
+    file = Path(file)
     write_text(file, _dumps(result))
 
 
@@ -62,7 +64,7 @@ _ROW = (
 )  # fmt: skip
 
 
-def read_results(folder: Path) -> dict[str, dict[str, Any]]:
+def read_results(folder: str | PathLike[str]) -> dict[str, dict[str, Any]]:
     """Return the results of a folder by the name of their files, without its prefix.
 
     Raises
@@ -70,6 +72,7 @@ def read_results(folder: Path) -> dict[str, dict[str, Any]]:
     FileError
         If one is not complete.
     """
+    folder = Path(folder)
     return {
         file.stem.removeprefix(PREFIX): read_result(file)
         for file in sorted(folder.glob(f"{PREFIX}*.json"))
@@ -138,7 +141,7 @@ def interval(found: dict[str, float] | None, digits: int, scale: float = 1.0) ->
     return value if low == value == high else f"{value} [{low}, {high}]"
 
 
-def put_tables(page: Path, results: dict[str, dict[str, Any]]) -> list[str]:
+def put_tables(page: str | PathLike[str], results: dict[str, dict[str, Any]]) -> list[str]:
     """Put the tables of results into a page, each at ``<!-- evaluation NAME -->``.
 
     Returns
@@ -150,6 +153,7 @@ def put_tables(page: Path, results: dict[str, dict[str, Any]]) -> list[str]:
     ParameterError
         If a place has no end; see `marked_page.put`.
     """
+    page = Path(page)
     missing = []
     for name, result in results.items():
         if has_place(page, f"evaluation {name}"):

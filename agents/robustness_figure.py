@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,9 @@ SHADE = "#E4E4E4"  # training range; in maps, cells that have no ratio
 DARKEST = np.log(2.5)  # a map's colour is full at 2.5 times the reference's cost, and at 1 / 2.5
 
 
-def draw_robustness(result: dict[str, Any], folder: Path, *, svg: bool = True) -> list[Path]:
+def draw_robustness(
+    result: dict[str, Any], folder: str | PathLike[str], *, svg: bool = True
+) -> list[Path]:
     """Draw a result and return the files written.
 
     Parameters
@@ -37,6 +40,7 @@ def draw_robustness(result: dict[str, Any], folder: Path, *, svg: bool = True) -
     svg
         Whether each figure is written as SVG, too.
     """
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     with figure_style():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -187,14 +188,15 @@ def section(result: dict[str, Any], pictures: Sequence[Path] = ()) -> str:
     return "\n".join(parts)
 
 
-def write_robustness(result: dict[str, Any], file: Path) -> None:
+def write_robustness(result: dict[str, Any], file: str | PathLike[str]) -> None:
     """Write a result with a point on a line."""
+    file = Path(file)
     head = json.dumps({key: value for key, value in result.items() if key != "points"}, indent=1)[:-2]
     points = ",\n".join(f"  {json.dumps(point)}" for point in result["points"])
     write_text(file, f'{head},\n "points": [\n{points}\n ]\n}}\n')
 
 
-def read_robustness(file: Path, scenario: str | None = None) -> dict[str, Any]:
+def read_robustness(file: str | PathLike[str], scenario: str | None = None) -> dict[str, Any]:
     """Return a result.
 
     Parameters
@@ -209,6 +211,7 @@ def read_robustness(file: Path, scenario: str | None = None) -> dict[str, Any]:
     ParameterError
         If the file cannot be read, is no result of ``shake robustness``, or of another scenario.
     """
+    file = Path(file)
     result = read_json(file, ParameterError, "robustness")
     if not str(result.get("format", "")).startswith("shake-robustness-"):
         raise ParameterError("robustness", str(file), "is no result of shake robustness")

@@ -86,15 +86,6 @@ def write_json(path: Path, value: Any, indent: int | None = 2) -> None:
     write_text(path, json.dumps(value, indent=indent) + "\n")
 
 
-def require_writable(folder: Path) -> None:
-    """Make a folder, and raise FileError unless files can be made in it."""
-    probe = folder / f".probe.{os.getpid()}.partial"
-    with file_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        probe.touch()
-        probe.unlink()
-
-
 def parse_json(text: str | bytes) -> Any:
     """Return the value of a JSON text.
 

@@ -10,6 +10,7 @@ import math
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +63,7 @@ class Tuning:
 def tune(
     name: str,
     scenario: Scenario,
-    storage: Path,
+    storage: str | PathLike[str],
     *,
     budget: int = 4_000_000,
     earthquakes: int = 16,
@@ -99,6 +100,7 @@ def tune(
     ParameterError
         If it has nothing to tune, or the budget is below one trial.
     """
+    storage = Path(storage)
     candidate = searched(name, scenario)
     tunable = candidate.tunable
     if not tunable:
@@ -201,7 +203,7 @@ class Found:
 def search(
     cost: Callable[[dict[str, float]], float],
     tunable: Mapping[str, Tunable],
-    storage: Path,
+    storage: str | PathLike[str],
     study_name: str,
     total: int,
     seed: int,
@@ -212,6 +214,7 @@ def search(
 
     The first trials are `starts`; what the first of them costs is the result's `default_cost`.
     """
+    storage = Path(storage)
     try:
         import optuna
     except ImportError:
@@ -268,7 +271,7 @@ def _finished(study: Any) -> int:
     return sum(trial.value is not None for trial in study.trials)
 
 
-def keep(tuning: Tuning, file: Path) -> None:
+def keep(tuning: Tuning, file: str | PathLike[str]) -> None:
     """Put a result into a file of tuned values, in place of one for the same controller and scenario.
 
     Raises
@@ -276,6 +279,7 @@ def keep(tuning: Tuning, file: Path) -> None:
     ParameterError
         If the file is there and is no file of tuned values.
     """
+    file = Path(file)
     known = kept_values(file) or TunedValues(str(file))
     search = tuning.to_json()
     entry = TunedEntry(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -41,8 +42,9 @@ MARKERS = {
 }  # fmt: skip
 
 
-def hankel(loops: Mapping[str, ReducedLoop], folder: Path) -> list[Path]:
+def hankel(loops: Mapping[str, ReducedLoop], folder: str | PathLike[str]) -> list[Path]:
     """Draw the Hankel singular values for four choices of outputs, and error and bound by order."""
+    folder = Path(folder)
     with figure_style():
         figure = new_figure(8.0, 6.6)
         axes = figure.subplots(2, len(loops), sharex="col", sharey="row", squeeze=False)
@@ -83,8 +85,9 @@ def _power(value: float) -> str:
     return f"${value / 10.0**exponent:.1f}\\cdot10^{{{exponent}}}$"
 
 
-def transfer(loops: Mapping[str, ReducedLoop], folder: Path) -> list[Path]:
+def transfer(loops: Mapping[str, ReducedLoop], folder: str | PathLike[str]) -> list[Path]:
     """Draw both tracking errors of full and reduced loop over frequency, and their difference."""
+    folder = Path(folder)
     with figure_style():
         figure = new_figure(8.0, 8.0)
         axes = figure.subplots(3, len(loops), sharex=True, sharey="row", squeeze=False)
@@ -120,8 +123,9 @@ def transfer(loops: Mapping[str, ReducedLoop], folder: Path) -> list[Path]:
         return save_figure(figure, folder, "validation_transfer")
 
 
-def ranges(checks: Sequence[MotionCheck], folder: Path) -> list[Path]:
+def ranges(checks: Sequence[MotionCheck], folder: str | PathLike[str]) -> list[Path]:
     """Draw every peak over its limit, by quantity, controller and group of motions."""
+    folder = Path(folder)
     names = list(dict.fromkeys(check.group for check in checks))
     with figure_style():
         figure = new_figure(8.0, 1.2 + 2.3 * len(names))
@@ -162,8 +166,9 @@ ROWS: tuple[tuple[str, str, float], ...] = (
 TARGETS = {"table_acceleration": "target_acceleration", "base_shear": "reference_base_shear"}
 
 
-def transients(name: str, motions: Mapping[str, Motion], folder: Path) -> list[Path]:
+def transients(name: str, motions: Mapping[str, Motion], folder: str | PathLike[str]) -> list[Path]:
     """Draw one motion under the controllers: the table's outputs and states about the strongest part."""
+    folder = Path(folder)
     styles = {
         "continuous II": SERIES[0],
         "continuous II, reduced": {"color": BLACK, "linestyle": (0, (1, 3.5)), "linewidth": 2.0},

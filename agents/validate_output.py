@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,9 @@ SHORT = {
 }  # fmt: skip
 
 
-def write(results: dict[str, Any], folder: Path) -> list[Path]:
+def write(results: dict[str, Any], folder: str | PathLike[str]) -> list[Path]:
     """Write validation.json, ranges.csv, reduction.csv and validation.md; return their paths."""
+    folder = Path(folder)
     paths = [folder / n for n in ("validation.json", "ranges.csv", "reduction.csv", "validation.md")]
     paths[0].write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     flat = [

@@ -160,6 +160,8 @@ def noise_factor(
     """
     row, column = scale[..., None, :], scale[..., None]
     left = covariance / (column * row)
+    if not np.isfinite(left).all():
+        raise NumericalError("noise covariance", "not finite", "shorten the physics step")
     values = np.linalg.eigvalsh(left)
     if np.any(values[..., 0] < -1e-9 * values[..., -1]):
         raise NumericalError("noise covariance", float(values.min()), "is not positive semi-definite")

@@ -10,14 +10,15 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from shake_env.errors import ScenarioError
+from shake_env.errors import NumericalError, ScenarioError
+from shake_env.inputs import checked_action, checked_options, checked_seed
 from shake_env.limits import OBSERVATION_BOUND, REASONS
 from shake_env.motion import Motion
 from shake_env.overrides import Overrides, make_scenario
 from shake_env.packing import TERMINATED, TRUNCATED
 from shake_env.rendering import FRAME_RATE, RENDER_MODES, make_view, metadata
 from shake_env.scenario import Scenario
-from shake_env.simulation import Simulation, checked_action, episode_stream, step_report
+from shake_env.simulation import Simulation, episode_stream, step_report
 
 INFO_KEYS = (
     "table_acceleration",
@@ -176,8 +177,8 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         observation, info
             The scaled state (n,) and the info of a table at rest.
         """
-        super().reset(seed=seed)
         motion = motion_option(options)
+        super().reset(seed=checked_seed(seed))
         observation = self._simulation.start(
             [0], [episode_stream(self.np_random)], None if motion is None else [motion]
         )
@@ -208,6 +209,7 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             return observation, reward, False, False, info
         self._running = False
         if ends == TERMINATED:
+            refuse_overflow(reward)
             info["broken_limit"] = REASONS[int(broken) - 1]
         return observation, reward, ends == TERMINATED, ends != TERMINATED, info
 
@@ -282,6 +284,14 @@ def single_action(action: Any) -> float:
     return float(checked_action(action, (1,))[0])
 
 
+def refuse_overflow(reward: float) -> None:
+    """Raise NumericalError if the last reward of a table is no finite number."""
+    if not isfinite(reward):
+        raise NumericalError(
+            "reward", reward, "a table left the range of numbers within one period: shorten physics_step"
+        )
+
+
 def refuse_rendering(render_mode: str | None) -> None:
     """Raise ScenarioError unless no rendering is asked for."""
     if render_mode is not None:
@@ -307,10 +317,7 @@ def motion_option(options: dict[str, Any] | None) -> Motion | None:
     ScenarioError
         If there is another option, or the motion is none.
     """
-    for name in options or {}:
-        if name != "motion":
-            raise ScenarioError("reset option", name, "known: motion")
-    motion = (options or {}).get("motion")
+    motion = checked_options(options, ("motion",)).get("motion")
     if motion is not None and not isinstance(motion, Motion):
         raise ScenarioError("motion", motion, "must be a FilteredNoise, a RecordedMotion or a MotionSet")
     return motion

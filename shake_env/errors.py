@@ -24,12 +24,19 @@ class ShakeError(ValueError):
 
     def __init__(self, field: str, value: object, remedy: str) -> None:
         self.field, self.value, self.remedy = field, value, remedy
-        super().__init__(f"{field} = {value!r}: {remedy}")
+        super().__init__(f"{field} = {_shown(value)}: {remedy}")
 
     def __reduce__(self) -> tuple[type[ShakeError], tuple[str, object, str]]:
         # BaseException pickles by self.args, which holds one message and not these three parts;
         # worker processes send errors home by pickle.
         return type(self), (self.field, self.value, self.remedy)
+
+
+def _shown(value: object) -> str:
+    try:
+        return repr(value)
+    except Exception:  # a number of over 4300 digits, or whatever the __repr__ of an object raises
+        return f"<{type(value).__name__}>"
 
 
 class ParameterError(ShakeError):

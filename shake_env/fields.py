@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sized
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 from shake_env.errors import ScenarioError, unknown
+from shake_env.parameters import Specimen
+from shake_env.ranges import RANGES
 from shake_env.sensing import Sensor
 from shake_env.uncertainty import Uniform
 
@@ -23,7 +25,9 @@ def with_fields(value: Any, changes: Mapping[str, Any]) -> Any:
     changes
         Path to new value. A path names nested fields with dots; sensors go by their signal, as in
         ``sensing.sensors.load_pressure.noise``. Two numbers make a `Uniform` range where one is
-        expected, and a mapping of fields makes a part that is None so far.
+        expected, and a mapping of fields makes a part that is None so far. Fields of one part are
+        changed together. Of a specimen with equal storeys, one of ``masses``, ``stiffnesses`` and
+        ``dampings`` decides the number of storeys; the others are continued with their value.
 
     Raises
     ------
@@ -32,34 +36,62 @@ def with_fields(value: Any, changes: Mapping[str, Any]) -> Any:
     ParameterError
         If a value is outside its range.
     """
+    if isinstance(value, Specimen):
+        changes = _as_many_storeys(value, changes)
+    together: dict[str, dict[str, Any]] = {}  # what is asked of each field, by the rest of the path
     for path, new in changes.items():
-        value = _with_field(value, path.split("."), new, path)
-    return value
+        first, _, rest = path.partition(".")
+        if not rest:
+            together.pop(first, None)  # a whole part replaces what was asked of its fields before
+        together.setdefault(first, {})[rest] = new
+    return _with_parts(value, together)
 
 
-def _with_field(value: Any, names: list[str], new: Any, path: str) -> Any:
-    if not names:
-        return new
-    first, rest = names[0], names[1:]
+def _with_parts(value: Any, together: Mapping[str, Mapping[str, Any]]) -> Any:
     if isinstance(value, tuple) and value and all(isinstance(item, Sensor) for item in value):
         signals = [sensor.signal for sensor in value]
-        if first not in signals:
-            raise unknown(ScenarioError, f"sensor in {path}", first, signals)
+        for first in together:
+            if first not in signals:
+                raise unknown(ScenarioError, "sensor", first, signals)
         return tuple(
-            _with_field(sensor, rest, new, path) if sensor.signal == first else sensor
-            for sensor in value
+            _changed(sensor, None, together.get(sensor.signal, {}), sensor.signal) for sensor in value
         )
     if not is_dataclass(value) or isinstance(value, type):
-        raise ScenarioError("field path", path, f"{first!r} is asked of {value!r}, which has no fields")
+        name = next(iter(together))
+        raise ScenarioError("field path", name, f"is asked of {value!r}, which has no fields")
     known = [field.name for field in fields(value)]
-    if first not in known:
-        raise unknown(ScenarioError, f"field in {path}", first, known)
-    old = getattr(value, first)
-    if rest:
-        changed = _with_field(old, rest, new, path)
-    else:
-        changed = _converted(typing.get_type_hints(type(value))[first], old, new, path)
-    return replace(value, **{first: changed})
+    new: dict[str, Any] = {}
+    for first, asked in together.items():
+        if first not in known:
+            raise unknown(ScenarioError, f"field of {type(value).__name__}", first, known)
+        hint = typing.get_type_hints(type(value))[first]
+        new[first] = _changed(getattr(value, first), hint, asked, first)
+    return replace(value, **new)  # all at once: they are checked together
+
+
+def _changed(old: Any, hint: Any, asked: Mapping[str, Any], name: str) -> Any:
+    """Return a field's value with what is asked of it: itself (the empty path) and then its parts."""
+    if "" in asked:
+        old = _converted(hint, old, asked[""], name)
+    parts = {path: new for path, new in asked.items() if path}
+    return with_fields(old, parts) if parts else old
+
+
+def _as_many_storeys(specimen: Specimen, changes: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the changes with the lists that are not given continued to the given number of storeys.
+
+    Only where the storeys of the specimen are equal in them.
+    """
+    names = ("masses", "stiffnesses", "dampings")
+    lengths = {len(changes[name]) for name in names if isinstance(changes.get(name), Sized)}
+    if len(lengths) != 1 or not (number := lengths.pop()):
+        return changes
+    continued = {
+        name: values[:1] * min(number, int(RANGES["Specimen.uniform"]["stories"].high) + 1)
+        for name in names
+        if name not in changes and len(set(values := getattr(specimen, name))) == 1
+    }
+    return {**continued, **changes}
 
 
 def _converted(hint: Any, old: Any, new: Any, path: str) -> Any:

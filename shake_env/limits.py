@@ -9,8 +9,8 @@ from typing import Any
 import array_api_compat
 
 from shake_env.errors import ParameterError
-from shake_env.parameters import is_number, require_non_negative, require_positive
 from shake_env.plant import LOAD_PRESSURE, TABLE_DISPLACEMENT, TABLE_VELOCITY
+from shake_env.ranges import RANGES, check_ranges, is_number
 
 Array = Any  # a numpy array or a torch tensor
 
@@ -63,21 +63,13 @@ class Limits:
     cost_horizon: float | None = None  # [s]; None: to the end of the motion
 
     def __post_init__(self) -> None:
-        for field in (*REASONS[1:], "cost_horizon"):
-            if getattr(self, field) is not None:
-                require_positive(self, field)
-        require_positive(self, "state_limit")
-        require_non_negative(self, "soft_weight")
         if not (is_number(self.soft_share) and 0.0 < self.soft_share < 1.0):
             raise ParameterError("soft_share", self.soft_share, "must lie between 0 and 1")
-        if self.state_limit > OBSERVATION_BOUND:
+        if not RANGES["Limits"]["cost_factor"].holds(self.cost_factor):
             raise ParameterError(
-                "state_limit",
-                self.state_limit,
-                f"must not exceed the observation's bound {OBSERVATION_BOUND}",
+                "cost_factor", self.cost_factor, "must be at least 1, or crashing pays, and at most 1e9"
             )
-        if not (is_number(self.cost_factor) and 1.0 <= self.cost_factor < float("inf")):
-            raise ParameterError("cost_factor", self.cost_factor, "must be at least 1, or crashing pays")
+        check_ranges(self)
 
     @classmethod
     def laboratory(cls) -> Limits:

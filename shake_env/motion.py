@@ -11,8 +11,10 @@ import numpy as np
 import scipy  # loads scipy.signal on first use, which takes half a second
 
 from shake_env.errors import ParameterError
-from shake_env.parameters import FloatArray, is_number, require_non_negative, require_positive
+from shake_env.parameters import FloatArray, is_number
+from shake_env.ranges import check_ranges
 from shake_env.records import Record, load_record
+from shake_env.rest import RAMP, from_rest, integrals
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +30,7 @@ class Envelope:
     decay_rate: float = 0.3  # [1/s]
 
     def __post_init__(self) -> None:
-        require_non_negative(self, "rise", "hold", "decay_rate")
+        check_ranges(self)
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return the intensity, 0 to 1, at `time` (...) [s]."""
@@ -46,8 +48,7 @@ class FilteredNoise:
     envelope: Envelope | None = None  # None: stationary
 
     def __post_init__(self) -> None:
-        require_positive(self, "duration")
-        require_non_negative(self, "amplitude")
+        check_ranges(self)
 
     def pick(self, stream: np.random.Generator) -> FilteredNoise:
         """Return the motion of an episode: this one; its noise is drawn later."""
@@ -60,7 +61,8 @@ class RecordedMotion:
 
     The record is high-passed (fourth-order Butterworth, forwards and backwards, so without delay),
     because an uncorrected record integrates to metres of drift; low-passed likewise where asked;
-    compressed in time, scaled, and resampled band-limited to the physics step.
+    compressed in time, scaled, and resampled band-limited to the physics step. A motion that is filtered
+    here, or whose record was prepared before, begins and ends at rest (`rest.from_rest`).
     """
 
     record: str | Record  # name of an embedded record, or a record
@@ -73,16 +75,19 @@ class RecordedMotion:
     def __post_init__(self) -> None:
         if not isinstance(self.record, str | Record):
             raise ParameterError("record", self.record, "must be the name of a record, or a Record")
-        require_positive(self, "time_compression")
-        require_non_negative(self, "amplitude")
-        if self.duration is not None:
-            require_positive(self, "duration")
         check_band(self.highpass_frequency, self.lowpass_frequency, self.source.sampling_interval)
+        check_ranges(self)
 
     @property
     def source(self) -> Record:
         """The record itself."""
         return load_record(self.record) if isinstance(self.record, str) else self.record
+
+    @property
+    def prepared(self) -> bool:
+        """Whether the motion is filtered, or its record was prepared before."""
+        filtered = self.highpass_frequency is not None or self.lowpass_frequency is not None
+        return filtered or self.source.prepared
 
     def pick(self, stream: np.random.Generator) -> RecordedMotion:
         """Return the motion of an episode: this one."""
@@ -109,7 +114,7 @@ class MotionSet:
             raise ParameterError(
                 "motions", self.motions, "give at least one RecordedMotion or FilteredNoise"
             )
-        require_non_negative(self, "amplitude")
+        check_ranges(self)
 
     @property
     def scaled(self) -> tuple[EpisodeMotion, ...]:
@@ -127,11 +132,15 @@ Motion = EpisodeMotion | MotionSet
 
 @dataclass(frozen=True)
 class TargetHistory:
-    """A recorded target sampled at the physics step."""
+    """A recorded target sampled at the physics step.
+
+    Velocity and displacement of a prepared motion are the integrals of its acceleration from rest; those
+    of a record as it is are taken less their trend, which the record's base line leaves.
+    """
 
     acceleration: FloatArray  # (samples,) [m/s^2]
-    velocity: FloatArray  # (samples,) [m/s], drift removed
-    displacement: FloatArray  # (samples,) [m], drift removed
+    velocity: FloatArray  # (samples,) [m/s]
+    displacement: FloatArray  # (samples,) [m]
 
 
 @lru_cache(maxsize=64)
@@ -146,10 +155,11 @@ def target_history(motion: RecordedMotion, physics_step: float) -> TargetHistory
     )
     interval = record.sampling_interval / motion.time_compression
     acceleration = motion.amplitude * resample(acceleration, interval, physics_step)
-    if motion.duration is not None:
-        acceleration = acceleration[: round(motion.duration / physics_step) + 1]
-    velocity = _integrate(acceleration, physics_step)
-    return TargetHistory(acceleration, velocity, _integrate(velocity, physics_step))
+    samples = None if motion.duration is None else round(motion.duration / physics_step) + 1
+    if motion.prepared:
+        parts = from_rest(acceleration, physics_step, RAMP / motion.time_compression)
+        return TargetHistory(*(values[:samples] for values in parts))
+    return TargetHistory(*integrals(acceleration[:samples], physics_step))
 
 
 def check_band(highpass: float | None, lowpass: float | None, interval: float) -> None:
@@ -179,12 +189,6 @@ def band_pass(
             # 15 samples are scipy's own choice for this order; a shorter record has fewer.
             values = scipy.signal.sosfiltfilt(sections, values, padlen=min(15, len(values) - 1))
     return values
-
-
-def _integrate(values: FloatArray, step: float) -> FloatArray:
-    integral = scipy.integrate.cumulative_trapezoid(values, dx=step, initial=0.0)
-    level: FloatArray = scipy.signal.detrend(integral)
-    return level
 
 
 def resample(values: FloatArray, interval: float, new_interval: float) -> FloatArray:

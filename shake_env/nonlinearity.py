@@ -15,7 +15,7 @@ from typing import Any
 import array_api_compat
 
 from shake_env.errors import ParameterError
-from shake_env.parameters import require_non_negative, require_positive
+from shake_env.ranges import check_ranges
 
 Array = Any  # a numpy array or a torch tensor
 
@@ -41,9 +41,8 @@ class Friction:
     viscous: float = 0.0  # c_v [N s/m], on top of the table's linear damping
 
     def __post_init__(self) -> None:
-        require_non_negative(self, "coulomb", "viscous")
-        require_positive(self, "stribeck_velocity", "smoothing_velocity")
-        if self.static is not None and not self.coulomb <= self.static < math.inf:
+        check_ranges(self)
+        if self.static is not None and self.static < self.coulomb:
             raise ParameterError(
                 "static", self.static, f"must be at least the Coulomb force {self.coulomb} N"
             )
@@ -98,13 +97,7 @@ class ServoValve:
     damping_ratio: float = 0.8  # [-] of the second-order valve
 
     def __post_init__(self) -> None:
-        for name in ("supply_pressure", "spool_limit", "spool_rate_limit"):
-            if not getattr(self, name) > 0.0:
-                raise ParameterError(name, getattr(self, name), "must be above 0 (inf switches it off)")
-        require_non_negative(self, "dead_band")
-        require_positive(self, "damping_ratio")
-        if self.natural_frequency is not None:
-            require_positive(self, "natural_frequency")
+        check_ranges(self)
 
     @property
     def flow_active(self) -> bool:
@@ -165,10 +158,7 @@ class StrokeStops:
     damping: float = 5e4  # [N s/m]
 
     def __post_init__(self) -> None:
-        if not self.gap > 0.0:
-            raise ParameterError("gap", self.gap, "must be above 0 m (inf: no stops)")
-        require_positive(self, "stiffness")
-        require_non_negative(self, "damping")
+        check_ranges(self)
 
     @property
     def active(self) -> bool:
@@ -205,12 +195,7 @@ class Yielding:
     exponent: float = 4.0  # n [-], sharpness of the knee
 
     def __post_init__(self) -> None:
-        if not self.yield_drift > 0.0:
-            raise ParameterError("yield_drift", self.yield_drift, "must be above 0 m (inf: no yielding)")
-        if not 1.0 <= self.exponent < math.inf:
-            raise ParameterError("exponent", self.exponent, "must be at least 1")
-        if not 0.0 <= self.stiffness_ratio <= 1.0:
-            raise ParameterError("stiffness_ratio", self.stiffness_ratio, "must lie in 0 to 1")
+        check_ranges(self)
 
     @property
     def active(self) -> bool:

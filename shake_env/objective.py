@@ -8,8 +8,8 @@ from typing import Any
 import array_api_compat
 
 from shake_env.errors import ParameterError
-from shake_env.parameters import is_number, require_non_negative, require_positive
 from shake_env.plant import REFERENCE_CURRENT, CoupledPlant
+from shake_env.ranges import RANGES, check, check_ranges
 
 Array = Any  # a numpy array or a torch tensor
 
@@ -35,15 +35,13 @@ class Objective:
     normalised: bool = True
 
     def __post_init__(self) -> None:
-        require_non_negative(self, "acceleration_weight", "force_weight")
-        require_positive(self, "current_weight")
+        check_ranges(self)
 
     @classmethod
     def raw(cls, q_1: float, q_2: float, r: float = 1.0) -> Objective:
         """Return the paper's weights on the SI performance z of eq. 12."""
-        for field, value in (("q_1", q_1), ("q_2", q_2), ("r", r)):
-            if not (is_number(value) and 0.0 <= value < float("inf")):
-                raise ParameterError(field, value, "must be a finite number of at least 0")
+        for (field, allowed), value in zip(RANGES["Objective.raw"].items(), (q_1, q_2, r), strict=True):
+            check(field, value, allowed)
         if r == 0.0:
             raise ParameterError("r", r, "must be above 0: a current that costs nothing has no bound")
         return cls(

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, TypedDict
 
+from shake_env.capacity import scenario_capacity
 from shake_env.errors import ScenarioError, unknown
 from shake_env.fields import with_fields
 from shake_env.limits import Limits
@@ -15,7 +16,7 @@ from shake_env.named import NAMED
 from shake_env.nonlinearity import Nonlinearity
 from shake_env.objective import Objective
 from shake_env.parameters import ModelEquations, Specimen
-from shake_env.preparation import TableCapacity, fit_amplitude
+from shake_env.preparation import fit_amplitude
 from shake_env.scenario import UNIFORM, Scenario
 from shake_env.scenario_file import read_scenario
 from shake_env.sensing import Sensing
@@ -159,6 +160,5 @@ def _record(scenario: Scenario, record: Any, changes: dict[str, Any]) -> Recorde
         return RecordedMotion(record=record, **changes)
     if scenario.limits.table_displacement is None:
         return RecordedMotion(record=record, amplitude=scenario.motion.amplitude, **changes)
-    capacity = TableCapacity.of(scenario.actuator, scenario.specimen)
     motion = RecordedMotion(record=record, **changes)
-    return fit_amplitude(motion, capacity, physics_step=scenario.physics_step).motion
+    return fit_amplitude(motion, scenario_capacity(scenario), physics_step=scenario.physics_step).motion

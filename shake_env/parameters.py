@@ -10,12 +10,15 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import islice
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from shake_env.errors import ParameterError
+from shake_env.ranges import RANGES, check, check_ranges
+from shake_env.ranges import is_number as is_number
 
 FloatArray = NDArray[np.float64]
 
@@ -47,7 +50,7 @@ def require_positive(owner: object, *fields: str) -> None:
     """Raise ParameterError unless each named field is a finite number above zero."""
     for field in fields:
         value = getattr(owner, field)
-        if not (is_number(value) and math.isfinite(value) and value > 0.0):
+        if not (is_number(value) and 0.0 < value < math.inf):
             raise ParameterError(field, value, "must be a finite number above 0")
 
 
@@ -55,13 +58,8 @@ def require_non_negative(owner: object, *fields: str) -> None:
     """Raise ParameterError unless each named field is a finite number of at least zero."""
     for field in fields:
         value = getattr(owner, field)
-        if not (is_number(value) and math.isfinite(value) and value >= 0.0):
+        if not (is_number(value) and 0.0 <= value < math.inf):
             raise ParameterError(field, value, "must be a finite number of at least 0")
-
-
-def is_number(value: object) -> bool:
-    """Return whether `value` is a real number, which a bool is not."""
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,11 +85,7 @@ class Actuator:
     valve_time_constant: float = 0.010  # T_v [s]
 
     def __post_init__(self) -> None:
-        require_positive(
-            self, "table_mass", "piston_area", "oil_volume", "bulk_modulus", "flow_gain",
-            "valve_gain", "valve_time_constant",
-        )  # fmt: skip
-        require_non_negative(self, "table_damping", "table_stiffness", "leakage")
+        check_ranges(self)
 
     @property
     def oil_stiffness(self) -> float:
@@ -132,21 +126,21 @@ class Specimen:
     dampings: tuple[float, ...]  # (stories,) [N s/m]
 
     def __post_init__(self) -> None:
-        for field in ("masses", "stiffnesses", "dampings"):
+        most = RANGES["Specimen.uniform"]["stories"]
+        for field, allowed in RANGES["Specimen"].items():
             try:
-                values = tuple(float(v) for v in getattr(self, field))
-            except (TypeError, ValueError):
+                values = tuple(islice(getattr(self, field), int(most.high) + 1))
+            except TypeError:
+                values = (None,)
+            if not all(is_number(value) for value in values):
                 raise ParameterError(
                     field, getattr(self, field), "must be a sequence of numbers, one per storey"
-                ) from None
-            object.__setattr__(self, field, values)
-            lowest = 0.0 if field == "dampings" else math.nextafter(0.0, 1.0)
+                )
             for storey, value in enumerate(values, start=1):
-                if not (math.isfinite(value) and value >= lowest):
-                    bound = "at least 0" if field == "dampings" else "above 0"
-                    raise ParameterError(
-                        f"{field}[storey {storey}]", value, f"must be finite and {bound}"
-                    )
+                check(f"{field}[storey {storey}]", value, allowed)
+            if len(values) > most.high:
+                raise ParameterError(f"storeys of {field}", f"over {most.high:g}", most.remedy)
+            object.__setattr__(self, field, tuple(float(value) for value in values))
         lengths = (len(self.masses), len(self.stiffnesses), len(self.dampings))
         if lengths[0] < 1 or len(set(lengths)) != 1:
             raise ParameterError(
@@ -180,18 +174,9 @@ class Specimen:
         table_mass
             m_a that `mass_ratio` refers to [kg].
         """
-        if not isinstance(stories, (int, np.integer)) or isinstance(stories, bool) or stories < 1:
-            raise ParameterError("stories", stories, "must be a whole number of at least 1")
-        for field, value, lowest in (
-            ("mass_ratio", mass_ratio, "above 0"),
-            ("storey_frequency", storey_frequency, "above 0"),
-            ("damping_ratio", damping_ratio, "of at least 0"),
-            ("table_mass", table_mass, "above 0"),
-        ):
-            if not (is_number(value) and math.isfinite(value) and value >= 0.0) or (
-                lowest == "above 0" and value == 0.0
-            ):
-                raise ParameterError(field, value, f"must be a finite number {lowest}")
+        values = (stories, mass_ratio, storey_frequency, damping_ratio, table_mass)
+        for (field, allowed), value in zip(RANGES["Specimen.uniform"].items(), values, strict=True):
+            check(field, value, allowed)
         mass = mass_ratio * table_mass / stories
         stiffness = (2.0 * math.pi * storey_frequency) ** 2 * mass
         damping = 2.0 * damping_ratio * math.sqrt(mass * stiffness)
@@ -300,9 +285,7 @@ class GroundFilter:
     highpass_damping_ratio: float = 0.7  # [-]
 
     def __post_init__(self) -> None:
-        require_positive(self, "frequency", "damping_ratio", "highpass_damping_ratio")
-        if self.highpass_frequency is not None:
-            require_positive(self, "highpass_frequency")
+        check_ranges(self)
 
     @property
     def omega(self) -> float:

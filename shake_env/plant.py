@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov
 
-from shake_env.errors import ParameterError
+from shake_env.errors import NumericalError, ParameterError
 from shake_env.parameters import (
     Actuator,
     FloatArray,
@@ -206,12 +206,27 @@ def actuator_plant(actuator: Actuator, equations: ModelEquations) -> StateSpace:
     return StateSpace(A, B, A[..., 2:3, :].copy(), D)
 
 
+_REMEDY = "frequencies and damping ratios of ground and specimen lie too far apart: bring them closer"
+
+
 def stationary_covariance(A: FloatArray, B: FloatArray) -> FloatArray:
-    """Return the stationary covariance (..., n, n) of ``x' = A x + B w`` under unit white noise w."""
+    """Return the stationary covariance (..., n, n) of ``x' = A x + B w`` under unit white noise w.
+
+    Raises
+    ------
+    NumericalError
+        If the equation has no finite solution.
+    """
     intensity = B @ np.swapaxes(B, -1, -2)
     n = A.shape[-1]
     pairs = zip(A.reshape(-1, n, n), intensity.reshape(-1, n, n), strict=True)
-    return np.array([solve_continuous_lyapunov(a, -q) for a, q in pairs]).reshape(A.shape)
+    try:
+        found = np.array([solve_continuous_lyapunov(a, -q) for a, q in pairs]).reshape(A.shape)
+    except (np.linalg.LinAlgError, ValueError) as error:  # singular; not finite
+        raise NumericalError("stationary covariance", str(error), _REMEDY) from None
+    if not np.isfinite(found).all():
+        raise NumericalError("stationary covariance", "not finite", _REMEDY)
+    return found
 
 
 def _variance(A: FloatArray, B: FloatArray, row: FloatArray, scale: FloatArray) -> Any:
@@ -304,6 +319,8 @@ class CoupledPlant:
         exogenous = np.r_[layout.ground, layout.reference]
         A = submatrix(base.coupled.A, exogenous, exogenous)
         variance = stationary_covariance(A, base.coupled.B[..., exogenous, 1:])
+        if not np.all(np.diagonal(variance, axis1=-2, axis2=-1) > 0.0):
+            raise NumericalError("stationary covariance", "not positive", _REMEDY)
         rms = np.sqrt(np.diagonal(variance, axis1=-2, axis2=-1))
         shear = np.sqrt(_quadratic(base.coupled.C[..., 3, exogenous], variance))
         omega, zeta = plain.omega, plain.damping_ratio

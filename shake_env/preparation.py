@@ -13,8 +13,10 @@ import numpy as np
 
 from shake_env.errors import ParameterError
 from shake_env.motion import RecordedMotion, band_pass, resample, target_history
-from shake_env.parameters import Actuator, FloatArray, Specimen, require_non_negative, require_positive
+from shake_env.parameters import Actuator, FloatArray, Specimen
+from shake_env.ranges import check_ranges
 from shake_env.records import Record
+from shake_env.records.record import PREPARATION
 
 SUPPLY_PRESSURE = 21e6  # [Pa] the rated 50 kN over the piston's area
 SOFT_STROKE = 0.070  # [m] to either side
@@ -72,8 +74,8 @@ def resampled(record: Record, sampling_interval: float) -> Record:
 
 
 def _prepared(record: Record, acceleration: FloatArray, note: str) -> Record:
-    done = sum(key.startswith("preparation ") for key, _ in record.attribution)
-    attribution = (*record.attribution, (f"preparation {done + 1}", note))
+    done = sum(key.startswith(PREPARATION) for key, _ in record.attribution)
+    attribution = (*record.attribution, (f"{PREPARATION}{done + 1}", note))
     return Record(record.name, acceleration, record.sampling_interval, attribution)
 
 
@@ -93,13 +95,13 @@ class TableCapacity:
 
     displacement: float = SOFT_STROKE  # [m] to either side
     velocity: float = RATED_VELOCITY  # [m/s]
+    acceleration: float = math.inf  # [m/s^2] inf: no limit
     force: float = SUPPLY_PRESSURE * Actuator.piston_area  # [N]
     moving_mass: float = 1.5 * Actuator.table_mass  # [kg] table and specimen
     table_damping: float = Actuator.table_damping  # [N s/m]
 
     def __post_init__(self) -> None:
-        require_positive(self, "displacement", "velocity", "force", "moving_mass")
-        require_non_negative(self, "table_damping")
+        check_ranges(self)
 
     @classmethod
     def of(
@@ -147,7 +149,7 @@ class TableFit:
 
     scaling: Literal["amplitude", "time"]
     factor: float  # on the amplitude, or on the time axis; 1 leaves the motion as it was
-    governed_by: Literal["displacement", "velocity", "force", "nothing"]
+    governed_by: Literal["displacement", "velocity", "acceleration", "force", "nothing"]
     before: MotionPeaks
     after: MotionPeaks
     fits: bool  # whether the scaled motion is within every limit
@@ -184,8 +186,8 @@ def fit_time(
     """Compress a motion in time, as similitude does for a small specimen, until a table can repeat it.
 
     With time multiplied by a factor s below 1, accelerations stay, velocities fall by s and
-    displacements by s squared. Force hardly falls: where it is too large, the result says
-    ``fits = False``.
+    displacements by s squared. Acceleration stays and force hardly falls: where one of them is too
+    large, the result says ``fits = False``.
 
     Parameters
     ----------
@@ -202,7 +204,8 @@ def fit_time(
     needed = {"displacement": math.sqrt(shares["displacement"]), "velocity": shares["velocity"]}
     name = max(needed, key=lambda key: needed[key])
     compression = max(needed[name], 1.0)
-    governed_by = name if shares["force"] <= 1.0 else "force"
+    stays = max(("force", "acceleration"), key=lambda key: shares[key])
+    governed_by = name if shares[stays] <= 1.0 else stays
     if governed_by == name and needed[name] <= 1.0:
         return _fit("time", 1.0, name, before, motion, capacity, physics_step)
     scaled = motion
@@ -220,6 +223,7 @@ def _shares(peaks: MotionPeaks, capacity: TableCapacity) -> dict[str, float]:
     return {
         "displacement": peaks.displacement / capacity.displacement,
         "velocity": peaks.velocity / capacity.velocity,
+        "acceleration": peaks.acceleration / capacity.acceleration,
         "force": peaks.force / capacity.force,
     }
 
@@ -235,8 +239,9 @@ def _fit(
 ) -> TableFit:
     after = MotionPeaks.of(scaled, capacity, physics_step)
     fits = max(_shares(after, capacity).values()) <= 1.0
-    limits: dict[str, Literal["displacement", "velocity", "force"]] = {
-        "displacement": "displacement", "velocity": "velocity", "force": "force",
+    limits: dict[str, Literal["displacement", "velocity", "acceleration", "force"]] = {
+        "displacement": "displacement", "velocity": "velocity", "acceleration": "acceleration",
+        "force": "force",
     }  # fmt: skip
     governed_by = limits[name] if factor < 1.0 or not fits else "nothing"
     return TableFit(scaling, factor, governed_by, before, after, fits, scaled)

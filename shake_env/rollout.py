@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from shake_env.capacity import scenario_capacity
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError
 from shake_env.limits import REASONS
 from shake_env.metrics import EpisodeMetrics, Sums
 from shake_env.motion import FilteredNoise, Motion, MotionSet, RecordedMotion
 from shake_env.named import laboratory_noise
-from shake_env.preparation import TableCapacity, fit_amplitude
+from shake_env.preparation import fit_amplitude
 from shake_env.records import RECORD_NAMES
 from shake_env.scenario import Scenario
 from shake_env.simulation import Simulation, checked_action
@@ -67,7 +68,7 @@ def recorded_earthquakes(scenario: Scenario) -> list[Earthquake]:
         motion = RecordedMotion(record=RECORD_NAMES[0], amplitude=record_amplitude(scenario))
     motions = [replace(motion, record=name) for name in RECORD_NAMES]
     if limited:
-        capacity = TableCapacity.of(scenario.actuator, scenario.specimen)
+        capacity = scenario_capacity(scenario)
         motions = [
             fit_amplitude(m, capacity, physics_step=scenario.physics_step).motion for m in motions
         ]

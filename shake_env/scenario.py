@@ -21,10 +21,10 @@ from shake_env.parameters import (
     GroundFilter,
     ModelEquations,
     Specimen,
-    is_number,
-    require_positive,
 )
 from shake_env.plant import REFERENCE_CURRENT, CoupledPlant
+from shake_env.ranges import check_ranges
+from shake_env.resolution import check_resolution
 from shake_env.sensing import ObservationLayout, Sensing
 from shake_env.uncertainty import Uncertainty
 
@@ -42,6 +42,7 @@ _KINDS: tuple[tuple[str, type | tuple[type, ...]], ...] = (
 )
 
 
+MOST_SUBSTEPS = 1000  # physics steps a control period
 UNIFORM = ("stories", "mass_ratio", "storey_frequency", "damping_ratio")  # what makes equal storeys
 
 
@@ -87,9 +88,7 @@ class Scenario:
         for name, kind in _KINDS:
             if not isinstance(getattr(self, name), kind):
                 raise ScenarioError(name, getattr(self, name), f"must be a {_names(kind)}")
-        require_positive(self, "physics_step", "control_rate", "current_limit")
-        if not (is_number(self.delay) and 0.0 <= self.delay < math.inf):
-            raise ParameterError("delay", self.delay, "must be a number of physics steps, at least 0")
+        check_ranges(self)
         ratio = 1.0 / (self.control_rate * self.physics_step)
         if round(ratio) < 1 or not math.isclose(ratio, round(ratio), rel_tol=1e-9):
             nearest = 1.0 / (max(round(ratio), 1) * self.physics_step)
@@ -99,6 +98,14 @@ class Scenario:
                 f"its period is {ratio:.6g} physics steps of {self.physics_step} s and must be a whole "
                 f"number of them: try {nearest:.6g} Hz",
             )
+        if round(ratio) > MOST_SUBSTEPS:
+            raise ParameterError(
+                "control_rate",
+                self.control_rate,
+                f"its period is {ratio:.6g} physics steps of {self.physics_step} s, and must be at most "
+                f"{MOST_SUBSTEPS} of them: raise the rate or the step",
+            )
+        check_resolution(self.actuator, self.specimen, self.ground, self.nonlinearity, self.physics_step)
         self._check_equations()
         self.sensing.preview_steps(self.control_period, self.physics_step)
         check_directions("noise_directions", self.noise_directions)

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from shake_env.errors import ParameterError, unknown
-from shake_env.parameters import FloatArray, require_non_negative, require_positive
+from shake_env.parameters import FloatArray
 from shake_env.plant import (
     LOAD_PRESSURE,
     SPOOL_POSITION,
@@ -21,6 +21,7 @@ from shake_env.plant import (
     TABLE_VELOCITY,
     CoupledPlant,
 )
+from shake_env.ranges import check_ranges
 
 FLOOR_ACCELERATIONS = "floor_accelerations"
 UNITS = {
@@ -64,9 +65,7 @@ class Sensor:
     def __post_init__(self) -> None:
         if self.signal not in UNITS:
             raise unknown(ParameterError, "signal", str(self.signal), UNITS)
-        require_non_negative(self, "noise", "bias", "resolution")
-        if self.lowpass_frequency is not None:
-            require_positive(self, "lowpass_frequency")
+        check_ranges(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,14 +86,9 @@ class Sensing:
     history: int = 0  # earlier control periods whose readings (and last actions) are shown
 
     def __post_init__(self) -> None:
-        require_non_negative(self, "preview")
+        check_ranges(self)
         if not isinstance(self.last_action, bool | np.bool_):
             raise ParameterError("last_action", self.last_action, "must be True or False")
-        if self.preview_spacing is not None:
-            require_positive(self, "preview_spacing")
-        whole = isinstance(self.history, int | np.integer) and not isinstance(self.history, bool)
-        if not whole or self.history < 0:
-            raise ParameterError("history", self.history, "must be a whole number of at least 0")
         if self.sensors is None:
             if self.history:
                 raise ParameterError(

@@ -8,15 +8,16 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from shake_env.compilation import compiled_module
-from shake_env.errors import ActionError
 from shake_env.excitation import Excitation, control_steps
 from shake_env.fleet import Fleet
 from shake_env.ground import GroundMaps, GroundPeriod
+from shake_env.inputs import checked_action as checked_action
 from shake_env.limits import OBSERVATION_BOUND
 from shake_env.measurement import SensorMemory, SensorNoise
+from shake_env.memory import check_memory
 from shake_env.motion import Motion
 from shake_env.packing import LIMIT_COST, REWARD
 from shake_env.parameters import FloatArray
@@ -78,9 +79,17 @@ class Simulation:
         What is simulated.
     lanes
         Number of tables N.
+
+    Raises
+    ------
+    ScenarioError
+        If they need more memory than is free.
+    NumericalError
+        If a parameter combination leaves a matrix without digits.
     """
 
     def __init__(self, scenario: Scenario, lanes: int) -> None:
+        check_memory(scenario, lanes)
         self.scenario = scenario
         self.lanes = lanes
         self.fleet = Fleet(scenario, lanes) if scenario.uncertainty.active else None
@@ -347,27 +356,6 @@ def _observation(scaled: FloatArray) -> NDArray[np.float32]:
         bounded = np.nan_to_num(bounded)
     observation: NDArray[np.float32] = bounded.astype(np.float32)
     return observation
-
-
-def checked_action(action: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    """Return `action` as float64 of `shape`.
-
-    Raises
-    ------
-    ActionError
-        If it has another shape, or is not all finite numbers.
-    """
-    try:
-        array = np.asarray(action, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ActionError("action", action, f"must be numbers of shape {shape}") from None
-    if array.shape != shape:
-        raise ActionError("action shape", array.shape, f"must be {shape}")
-    if not np.isfinite(array).all():
-        raise ActionError(
-            "action", action, "must be finite: current as a fraction of the limit, -1 to 1"
-        )
-    return array
 
 
 def episode_stream(generator: np.random.Generator) -> np.random.Generator:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shake_env.errors import ParameterError
+from shake_env.ranges import UNCERTAIN, check, is_number
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,9 @@ class Uniform:
     high: float
 
     def __post_init__(self) -> None:
-        if not (0.0 <= self.low <= self.high < math.inf):
+        if not (
+            is_number(self.low) and is_number(self.high) and 0.0 <= self.low <= self.high < math.inf
+        ):
             raise ParameterError(
                 "uniform range", (self.low, self.high), "needs 0 <= low <= high, finite"
             )
@@ -59,6 +62,8 @@ class Uncertainty:
         for name, value in vars(self).items():
             if value is not None and not isinstance(value, Uniform):
                 raise ParameterError(name, value, "must be a Uniform(low, high), or None")
+            for end in () if value is None else (value.low, value.high):
+                check(f"uncertainty.{name}", end, UNCERTAIN[name])
 
     @property
     def active(self) -> bool:

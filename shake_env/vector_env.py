@@ -10,14 +10,18 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from shake_env.env import INFO_KEYS, motion_option, refuse_rendering, single_spaces
+from shake_env.env import INFO_KEYS, motion_option, refuse_overflow, refuse_rendering, single_spaces
 from shake_env.errors import ParameterError, ScenarioError
+from shake_env.inputs import checked_action, checked_options, checked_seeds
 from shake_env.limits import REASONS
+from shake_env.memory import check_memory
 from shake_env.overrides import Overrides, make_scenario
 from shake_env.parameters import FloatArray
+from shake_env.ranges import Range, check
 from shake_env.scenario import Scenario
-from shake_env.simulation import BoolArray, Simulation, StepResult, checked_action, episode_stream
+from shake_env.simulation import BoolArray, Simulation, StepResult, episode_stream
 
+NUM_ENVS = Range(1, 10_000_000, whole=True)
 _KEYS = tuple((key, f"_{key}") for key in INFO_KEYS)  # of a value, and of whether a lane has one
 
 
@@ -66,10 +70,10 @@ class ShakeTableVectorEnv(
         **overrides: Unpack[Overrides],
     ) -> None:
         refuse_rendering(render_mode)
-        if not isinstance(num_envs, int | np.integer) or num_envs < 1:
-            raise ParameterError("num_envs", num_envs, "must be a whole number of at least 1")
+        check("num_envs", num_envs, NUM_ENVS)
         self.num_envs = int(num_envs)
         self.scenario = make_scenario(scenario, overrides)
+        check_memory(self.scenario, self.num_envs)  # before the spaces, which hold bounds for each lane
         self.render_mode = render_mode
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
@@ -92,8 +96,8 @@ class ShakeTableVectorEnv(
         options
             ``reset_mask``, and ``motion`` for the motion of all these episodes.
         """
-        seeds = self._seeds(seed)
-        rest = dict(options or {})
+        seeds = checked_seeds(seed, self.num_envs)
+        rest = checked_options(options, ("motion", "reset_mask"))
         lanes = np.flatnonzero(self._mask(rest.pop("reset_mask", None)))
         motion = motion_option(rest)
         for lane in lanes:
@@ -182,21 +186,11 @@ class ShakeTableVectorEnv(
             info[key] = np.where(restarted, 0.0, value) if anew else value
             info[mask_key] = mask
         if result.terminated.any():
+            refuse_overflow(float(result.reward.sum()))
             names = np.array([None, *REASONS], dtype=object)
             info["broken_limit"] = names[np.where(result.terminated, result.outcome.broken, 0)]
             info["_broken_limit"] = result.terminated
         return info
-
-    def _seeds(self, seed: int | list[int | None] | None) -> list[int | None]:
-        if seed is None:
-            return [None] * self.num_envs
-        if isinstance(seed, int | np.integer):
-            return [int(seed) + lane for lane in range(self.num_envs)]
-        if len(seed) != self.num_envs:
-            raise ParameterError(
-                "seed", seed, f"give one number, or one for each of {self.num_envs} lanes"
-            )
-        return list(seed)
 
     def _mask(self, mask: BoolArray | None) -> BoolArray:
         if mask is None:

@@ -1,6 +1,8 @@
 """`shake motion` and `shake compare --motion`, as a shell user and a program meet them."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -55,8 +57,8 @@ def test_motion_for_a_person_says_scale_and_reason_and_draws(capsys, tmp_path):
     for expected in ("CSMIP volume 1, 3 channels", "channel 2", "5.009", "70 mm", f"{scale.factor:.4g}",
                      f"{1e3 * scale.before.displacement:.3g} mm"):  # fmt: skip
         assert expected in out
-    assert (tmp_path / "out" / "motion.png").stat().st_size > 20_000
-    assert (tmp_path / "out" / "motion.svg").stat().st_size > 20_000
+    assert (tmp_path / "out" / "CICLC_trimmed.v1.png").stat().st_size > 20_000
+    assert (tmp_path / "out" / "CICLC_trimmed.v1.svg").stat().st_size > 20_000
 
 
 def test_motion_takes_units_limits_and_offset_from_the_command(capsys, tmp_path):
@@ -78,6 +80,84 @@ def test_motion_takes_units_limits_and_offset_from_the_command(capsys, tmp_path)
     assert small["amplitude_governed_by"] == "displacement"
     assert small["peaks_scaled_by_amplitude"]["displacement"] == pytest.approx(0.01)
     assert small["amplitude_scale"] < channel["amplitude_scale"]
+
+
+def sine_file(path, step=0.01, samples=2000):
+    time = step * np.arange(samples)
+    values = 0.3 * np.sin(6.0 * time) * np.exp(-(((time - 10.0) / 3.0) ** 2))
+    path.write_text("".join(f"{t:.4f} {v:.6f}\n" for t, v in zip(time, values, strict=True)))
+    return path
+
+
+def test_motion_judges_the_table_of_the_scenario(capsys, tmp_path):
+    path = sine_file(tmp_path / "mine.csv")
+
+    def judged(*options):
+        found = run_json(capsys, "motion", path, "--units", "g", *options)[0]
+        return found["scenario"], found["capacity"], found["channels"][0]
+
+    name, usual, channel = judged()
+    assert name == "linear" and usual["acceleration"] is None and usual["displacement"] == 0.07
+    name, laboratory, _ = judged("--scenario", "laboratory")
+    assert name == "laboratory" and laboratory["acceleration"] == 49.0
+    _, half, scaled = judged("--scenario", "laboratory", "--set", "limits.table_displacement=0.038")
+    assert half["displacement"] == 0.035 and scaled["amplitude_scale"] < channel["amplitude_scale"]
+    _, heavy, _ = judged("--mass-ratio", "3", "--set", "limits.load_pressure=7e6")
+    assert heavy["moving_mass"] == 720.0 and heavy["force"] == pytest.approx(7e6 * 0.00237)
+    _, slow, _ = judged("--current-limit", "0.01")
+    assert slow["velocity"] == pytest.approx(0.01 * 5e-4 * 76.0 / 0.00237)
+    _, own, limited = judged("--acceleration", "0.5", "--pressure", "1e6")
+    assert own["acceleration"] == 0.5 and own["force"] == pytest.approx(2370.0)
+    assert limited["amplitude_governed_by"] == "acceleration"
+    assert limited["peaks_scaled_by_amplitude"]["acceleration"] == pytest.approx(0.5)
+    assert not limited["time_scale_suffices"]
+    _, uneven, _ = judged("--set", "specimen.masses=[60, 40, 20]")
+    assert uneven["moving_mass"] == 300.0
+
+
+def test_each_record_has_a_figure_of_its_own(tmp_path):
+    for name in ("one.csv", "wei rd&.csv"):
+        path = sine_file(tmp_path / name)
+        assert main(["motion", str(path), "--units", "g", "--output", str(tmp_path / "out")]) == 0
+    names = {path.name for path in (tmp_path / "out").glob("*.png")}
+    assert names == {"one.csv.png", "wei_rd_.csv.png"}
+
+
+@pytest.mark.parametrize("step", [0.5, 0.9])
+def test_coarse_records_are_described_and_drawn(step, tmp_path):
+    path = sine_file(tmp_path / "coarse.csv", step, samples=60)
+    options = ["--units", "g", "--highpass", "0.01", "--output", str(tmp_path / "out")]
+    assert main(["motion", str(path), *options]) == 0
+    assert (tmp_path / "out" / "coarse.csv.png").is_file()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--mass-ratio", "1e9"], ["--stroke", "-1"], ["--velocity", "nan"], ["--amplitude", "-1"]],
+)
+def test_values_out_of_range_are_one_line(arguments, capsys, tmp_path):
+    path = sine_file(tmp_path / "mine.csv")
+    assert main(["motion", str(path), "--units", "g", *arguments]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_record_of_zeros_holds_no_motion(capsys, tmp_path):
+    path = tmp_path / "zeros.csv"
+    path.write_text("".join(f"{0.01 * i:.2f} 0.0\n" for i in range(200)))
+    compared = ["compare", "--motion", str(path), "--motion.units", "g", "--noise", "0"]
+    for command in (["motion", str(path), "--units", "g"], compared):
+        assert main(command) == 2
+        assert "all zeros" in capsys.readouterr().err
+
+
+def test_a_reader_that_goes_ends_the_command_quietly(tmp_path):
+    path = sine_file(tmp_path / "mine.csv")
+    command = [sys.executable, "-m", "agents", "motion", str(path), "--units", "g"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, cwd=tmp_path) as process:
+        process.stdout.close()  # before anything is written
+        err, code = process.stderr.read(), process.wait()
+    assert err == b"" and code in (1, 141)  # rich ends a program with 1 by itself
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import copy
 import hashlib
+import math
 import pickle
 import re
 import subprocess
@@ -494,3 +495,73 @@ def test_gymnasium_vector_wrapper_counts_episodes():
     for _ in range(100):
         *_, truncated, info = wrapper.step(np.zeros((3, 1)))
     assert truncated.all() and np.array_equal(info["episode"]["l"], [100, 100, 100])
+
+
+class Refusing:
+    """An object of another library that cannot become an array."""
+
+    def __array__(self, dtype=None, copy=None):
+        raise RuntimeError("not on this device")
+
+
+def gradient():
+    torch = pytest.importorskip("torch")
+    return torch.zeros(1, requires_grad=True)
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        [10**400],
+        10**400,
+        np.array([1j]),
+        [1 + 0j],
+        np.ma.masked_array([0.1], mask=[True]),
+        np.ma.masked_array([0.1]),
+        np.array(["2020-01-01"], dtype="datetime64[D]"),
+        np.array([3], dtype="timedelta64[s]"),
+        ["0.1"],
+        [None],
+        [b"1"],
+        {"current": 1},
+        Refusing(),
+        gradient,
+        np.array([np.longdouble("1e400")]),
+    ],
+    ids=lambda a: type(a).__name__,
+)
+def test_actions_that_are_no_real_numbers_are_refused(action):
+    action = action() if callable(action) else action
+    env, vector = ShakeTableEnv(duration=1.0), ShakeTableVectorEnv(1, duration=1.0)
+    for table, given in ((env, action), (vector, [action])):
+        table.reset(seed=0)
+        with pytest.raises(ActionError):
+            table.step(given)
+
+
+@pytest.mark.parametrize("action", [[0.25], np.array([0.25], np.float16), (0.25,), [np.float64(0.25)]])
+def test_other_real_numbers_are_the_same_action(action):
+    import torch
+
+    results = []
+    for given in (action, np.array([0.25]), torch.tensor([0.25])):
+        env = ShakeTableEnv(duration=1.0)
+        env.reset(seed=0)
+        results.append(env.step(given)[1])
+    assert results[0] == results[1] == results[2]
+
+
+@pytest.mark.parametrize("options", [5, "motion", [("motion", None)], {"colour": 1}])
+def test_options_that_are_none_are_refused(options):
+    for env in (ShakeTableEnv(duration=1.0), ShakeTableVectorEnv(2, duration=1.0)):
+        with pytest.raises(ScenarioError, match="reset option"):
+            env.reset(options=options)
+
+
+@pytest.mark.parametrize("seed", [1.5, math.nan, -1, "1", True, np.array(1.5)])
+def test_seeds_that_are_no_whole_numbers_are_refused(seed):
+    for env in (ShakeTableEnv(duration=1.0), ShakeTableVectorEnv(2, duration=1.0)):
+        with pytest.raises(ParameterError, match="seed"):
+            env.reset(seed=seed)
+    with pytest.raises(ParameterError, match=r"seed\[1\]"):
+        ShakeTableVectorEnv(2, duration=1.0).reset(seed=[1, seed])

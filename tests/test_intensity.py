@@ -7,8 +7,15 @@ import pytest
 from scipy.integrate import trapezoid
 from scipy.signal import lsim
 
-from agents.intensity import PERIODS, arias_intensity, response_spectrum, significant_duration
+from agents.intensity import (
+    PERIODS,
+    SAMPLES_A_PERIOD,
+    arias_intensity,
+    response_spectrum,
+    significant_duration,
+)
 from shake_env import RECORD_NAMES, Record, load_record
+from shake_env.errors import ParameterError
 from shake_env.parameters import GRAVITY
 
 
@@ -72,3 +79,36 @@ def test_response_spectrum_in_parts_is_the_whole(monkeypatch):
     monkeypatch.setattr("agents.intensity._CELLS", 1000)
     assert np.array_equal(response_spectrum(record), whole)
     assert whole.shape == PERIODS.shape
+
+
+def wave(step, frequency=9.3):
+    """A burst of fewer than three samples a wave at the coarsest step, the same at every step."""
+    time = step * np.arange(round(12.0 / step) + 1) - 6.0
+    return made(np.exp(-((time / 1.5) ** 2)) * np.sin(2.0 * math.pi * frequency * time + 0.3), step)
+
+
+@pytest.mark.parametrize("step", [0.01, 0.02, 0.04])
+def test_short_periods_are_those_of_the_motion_between_the_samples(step):
+    periods = np.array([2.0, 2.5, 3.0, 4.0, 5.0, 5.99]) * step
+    fine = response_spectrum(wave(2e-4), periods)  # direct integration, nothing interpolated
+    coarse = response_spectrum(wave(step), periods)
+    assert np.allclose(coarse, fine, rtol=6e-3)
+    if step == 0.02:  # where eqsig gives the peak of the ground for all of them
+        assert np.max(coarse) > 1.5 * np.max(np.abs(wave(step).acceleration))
+
+
+def test_a_steady_wave_has_the_analytic_amplification_of_each_oscillator():
+    step, frequency, damping = 0.02, 8.0, 0.05
+    time = step * np.arange(4001)
+    rise = np.clip(time / 30.0, 0.0, 1.0) * np.clip((80.0 - time) / 30.0, 0.0, 1.0)
+    record = made(rise * np.sin(2.0 * math.pi * frequency * time), step)
+    periods = np.array([0.045, 0.06, 0.08, 0.1, 0.115])
+    ratio = periods * frequency
+    expected = 1.0 / np.abs(1.0 - ratio**2 + 2j * damping * ratio)
+    assert np.all(periods < SAMPLES_A_PERIOD * step)
+    assert np.allclose(response_spectrum(record, periods, damping), expected, rtol=0.01)
+
+
+def test_periods_that_the_record_cannot_hold_are_refused():
+    with pytest.raises(ParameterError, match=r"periods = 0.01: .*at least two samples of 0.01 s"):
+        response_spectrum(made(np.ones(100)), np.array([0.01, 1.0]))

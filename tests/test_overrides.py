@@ -45,6 +45,25 @@ def test_a_part_that_is_none_is_made_of_a_mapping():
     assert scenario.motion.envelope.rise == 1.0 and scenario.motion.envelope.decay_rate == 0.3
 
 
+def test_one_list_of_a_specimen_decides_the_number_of_storeys():
+    plain = make_scenario("linear").specimen
+    specimen = make_scenario("linear", {"fields": {"specimen.masses": [60.0, 40.0, 20.0]}}).specimen
+    assert specimen.masses == (60.0, 40.0, 20.0)
+    assert specimen.stiffnesses == plain.stiffnesses[:1] * 3
+    assert specimen.dampings == plain.dampings[:1] * 3
+    lists = {"masses": [60.0, 40.0, 20.0], "stiffnesses": [6e4, 4e4, 2e4], "dampings": [9.0, 8.0, 7.0]}
+    uneven = make_scenario("linear", {"fields": {f"specimen.{k}": v for k, v in lists.items()}})
+    assert uneven.specimen.dampings == (9.0, 8.0, 7.0)
+    with pytest.raises(ParameterError, match="same number of storeys"):
+        make_scenario(uneven, {"fields": {"specimen.masses": [1.0, 2.0]}})
+
+
+def test_fields_of_a_part_are_checked_together():
+    fields = {"nonlinearity.friction.static": 90.0, "nonlinearity.friction.coulomb": 50.0}
+    friction = make_scenario("laboratory", {"fields": fields}).nonlinearity.friction
+    assert (friction.static, friction.coulomb) == (90.0, 50.0)
+
+
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -121,7 +121,7 @@ def _number(name: str, header: dict[str, str], key: str) -> float:
     return value
 
 
-def write_record(record: Record, path: str | os.PathLike[str]) -> Path:
+def write_record(record: Record, path: str | PathLike[str]) -> Path:
     """Write a record in the embedded format; reading it back gives the same bits.
 
     The unit is g where every sample is some number of g, rounded, and m/s^2 where it is not. Header

@@ -7,6 +7,7 @@ import os
 import stat
 from collections.abc import Callable
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -78,7 +79,7 @@ READERS: tuple[Reader, ...] = (
 
 
 def read_motion(
-    path: str | os.PathLike[str],
+    path: str | PathLike[str],
     *,
     units: str | None = None,
     sampling_interval: float | None = None,

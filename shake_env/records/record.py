@@ -11,6 +11,8 @@ import numpy as np
 from shake_env.errors import RecordError
 from shake_env.parameters import FloatArray
 
+PREPARATION = "preparation "  # first word of the keys under which an attribution lists what was done
+
 
 @dataclass(frozen=True)
 class Record:
@@ -47,6 +49,11 @@ class Record:
         acceleration.flags.writeable = False
         object.__setattr__(self, "acceleration", acceleration)
         object.__setattr__(self, "digest", hashlib.sha256(acceleration.data).digest())
+
+    @property
+    def prepared(self) -> bool:
+        """Whether `shake_env.preparation` made it, as its attribution says."""
+        return any(key.startswith(PREPARATION) for key, _ in self.attribution)
 
     @property
     def duration(self) -> float:
