@@ -13,6 +13,14 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 
 
+@pytest.fixture(autouse=True)
+def _a_slow_machine_adds_no_line_to_standard_error(monkeypatch):
+    """A command says after half a second that it works; how long it takes here depends on the load."""
+    from agents import progress
+
+    monkeypatch.setattr(progress, "FIRST_LINE", 3600.0)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _temporary_files_among_the_tests_own(tmp_path_factory):
     """SB3 gives every `learn` without a logger a folder of its own, and never takes it away."""

@@ -175,7 +175,16 @@ def test_a_bad_file_is_one_line_on_standard_error_and_exit_code_2(content, messa
 
 
 def compare(capsys, tmp_path, *arguments):
-    common = ["compare", "--no-records", "--controllers", "lqr", "none", "--output", tmp_path / "out"]
+    common = [
+        "compare",
+        "--no-records",
+        "--controllers",
+        "lqr",
+        "none",
+        "--force",
+        "--output",
+        tmp_path / "out",
+    ]
     return run_json(capsys, *common, *arguments)[0]
 
 
@@ -213,7 +222,7 @@ def test_compare_prints_the_scale_and_takes_several_files(capsys, tmp_path):
     out = " ".join(capsys.readouterr().out.split())
     assert "motions, 4 earthquakes" in out
     assert "motion napa: amplitude x 0.5269 (for its 133 mm of displacement)" in out
-    assert main([*arguments, "--no-scale"]) == 0
+    assert main([*arguments, "--no-scale", "--force"]) == 0
     assert "amplitude x 1 (as recorded; the table needs 0.5269)" in " ".join(
         capsys.readouterr().out.split()
     )
