@@ -174,7 +174,10 @@ def _cells(line: str, layout: Layout) -> list[str]:
     readings: list[list[str]] = []
     marked = bool(layout.separator)
     if marked:
-        readings.append(next(csv.reader([text], delimiter=layout.separator)))
+        try:
+            readings.append(next(csv.reader([text], delimiter=layout.separator)))
+        except csv.Error:  # quotes that do not close, or a carriage return: no row of titles
+            return []
     elif "\t" in text.strip() and width > 1:
         readings.append([part for part in text.strip().split("\t") if part.strip()])
         marked = len(readings[0]) == width

@@ -111,7 +111,9 @@ class SourceText:
     def error(self, index: int, remedy: str, value: object = None) -> RecordError:
         """Return an error at a line, whose text is the value unless another is given."""
         shown = self.line(index).strip()[:80] if value is None else value
-        return RecordError(self.place(index), shown, remedy)
+        return RecordError(
+            self.place(index), shown[:200] if isinstance(shown, str) else shown, remedy[:400]
+        )
 
     def numbers(
         self,

@@ -187,9 +187,9 @@ def settle_unit(place: str, stated: str | None, asked: Unit | None) -> Unit:
         return asked
     unit = unit_named(stated)
     if unit is None:
-        raise RecordError(place, stated, f"is no unit of acceleration; known: {KNOWN}")
+        raise RecordError(place, stated[:80], f"is no unit of acceleration; known: {KNOWN}")
     if asked is not None and asked != unit:
-        raise RecordError(place, stated, f"the file's own unit differs from the given {asked}")
+        raise RecordError(place, stated[:80], f"the file's own unit differs from the given {asked}")
     return unit
 
 
