@@ -7,9 +7,8 @@ at its first sample. Here both rise from zero over a ramp, and the acceleration 
 from __future__ import annotations
 
 import numpy as np
+import scipy  # loads its parts on first use, scipy.signal among them, which takes half a second
 from numpy.typing import NDArray
-from scipy.integrate import cumulative_trapezoid
-from scipy.signal import detrend
 
 from shake_env.parameters import FloatArray
 
@@ -53,10 +52,10 @@ def from_rest(acceleration: FloatArray, step: float, ramp: float) -> Integrals:
     """
     acceleration = _with_quiet_ends(acceleration, round(ramp / step))
     samples = len(acceleration)
-    raw_velocity = cumulative_trapezoid(acceleration, dx=step, initial=0.0)
-    velocity = detrend(raw_velocity)
-    raw_displacement = cumulative_trapezoid(velocity, dx=step, initial=0.0)
-    displacement = detrend(raw_displacement)
+    raw_velocity = scipy.integrate.cumulative_trapezoid(acceleration, dx=step, initial=0.0)
+    velocity = scipy.signal.detrend(raw_velocity)
+    raw_displacement = scipy.integrate.cumulative_trapezoid(velocity, dx=step, initial=0.0)
+    displacement = scipy.signal.detrend(raw_displacement)
     duration = (samples - 1) * step
     acceleration = acceleration - _rise(raw_velocity - velocity) / duration
     velocity = velocity - _rise(raw_displacement - displacement) / duration
@@ -67,12 +66,18 @@ def from_rest(acceleration: FloatArray, step: float, ramp: float) -> Integrals:
     slope = (up_slope * down - up * down_slope) / ramp
     curve = (up_curve * down - 2.0 * up_slope * down_slope + up * down_curve) / ramp**2
     moved = window * acceleration + 2.0 * slope * velocity + curve * displacement
-    moved_velocity = cumulative_trapezoid(moved, dx=step, initial=0.0)
-    return moved, moved_velocity, cumulative_trapezoid(moved_velocity, dx=step, initial=0.0)
+    moved_velocity = scipy.integrate.cumulative_trapezoid(moved, dx=step, initial=0.0)
+    return (
+        moved,
+        moved_velocity,
+        scipy.integrate.cumulative_trapezoid(moved_velocity, dx=step, initial=0.0),
+    )
 
 
 def _integrated(values: FloatArray, step: float) -> FloatArray:
-    integral: FloatArray = detrend(cumulative_trapezoid(values, dx=step, initial=0.0))
+    integral: FloatArray = scipy.signal.detrend(
+        scipy.integrate.cumulative_trapezoid(values, dx=step, initial=0.0)
+    )
     return integral
 
 
