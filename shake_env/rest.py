@@ -52,9 +52,9 @@ def from_rest(acceleration: FloatArray, step: float, ramp: float) -> Integrals:
     """
     acceleration = _with_quiet_ends(acceleration, round(ramp / step))
     samples = len(acceleration)
-    raw_velocity = scipy.integrate.cumulative_trapezoid(acceleration, dx=step, initial=0.0)
+    raw_velocity = _cumulative(acceleration, step)
     velocity = scipy.signal.detrend(raw_velocity)
-    raw_displacement = scipy.integrate.cumulative_trapezoid(velocity, dx=step, initial=0.0)
+    raw_displacement = _cumulative(velocity, step)
     displacement = scipy.signal.detrend(raw_displacement)
     duration = (samples - 1) * step
     acceleration = acceleration - _rise(raw_velocity - velocity) / duration
@@ -66,18 +66,16 @@ def from_rest(acceleration: FloatArray, step: float, ramp: float) -> Integrals:
     slope = (up_slope * down - up * down_slope) / ramp
     curve = (up_curve * down - 2.0 * up_slope * down_slope + up * down_curve) / ramp**2
     moved = window * acceleration + 2.0 * slope * velocity + curve * displacement
-    moved_velocity = scipy.integrate.cumulative_trapezoid(moved, dx=step, initial=0.0)
+    moved_velocity = _cumulative(moved, step)
     return (
         moved,
         moved_velocity,
-        scipy.integrate.cumulative_trapezoid(moved_velocity, dx=step, initial=0.0),
+        _cumulative(moved_velocity, step),
     )
 
 
 def _integrated(values: FloatArray, step: float) -> FloatArray:
-    integral: FloatArray = scipy.signal.detrend(
-        scipy.integrate.cumulative_trapezoid(values, dx=step, initial=0.0)
-    )
+    integral: FloatArray = scipy.signal.detrend(_cumulative(values, step))
     return integral
 
 
@@ -101,3 +99,9 @@ def _ramp(share: NDArray[np.floating]) -> Integrals:
     value = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
     slope = 30.0 * s**2 * (1.0 - s) ** 2
     return value, slope, 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
+
+
+def _cumulative(values: FloatArray, step: float) -> FloatArray:
+    """Return the integral (samples,) from the first sample on, by trapezoids."""
+    integral: FloatArray = scipy.integrate.cumulative_trapezoid(values, dx=step, initial=0.0)
+    return integral
