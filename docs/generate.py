@@ -110,7 +110,7 @@ def scenarios() -> str:
 
 
 RANGES_NOTE = (
-    "What each number may be, checked when its part is made; an error names the field, the value and the "
+    "What each number may be, checked when its part is made; an error names field, value and "
     "range. A physics step that is too long for the fastest mode, and a scenario that needs more memory "
     "than four fifths of what is free, are refused too.\n"
 )
