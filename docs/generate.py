@@ -26,6 +26,7 @@ from baselines.catalogue import BASELINES  # noqa: E402
 from baselines.registry import reference_name, tuned_parameters  # noqa: E402
 from shake_env import SCENARIO_NAMES, make_scenario  # noqa: E402
 from shake_env.errors import ShakeError  # noqa: E402
+from shake_env.ranges import RANGES  # noqa: E402
 from shake_env.scenario import Scenario  # noqa: E402
 from shake_env.scenario_file import flattened  # noqa: E402
 
@@ -105,7 +106,25 @@ def scenarios() -> str:
             f"Costs are relative to `{reference_name(scenario)}`.\n",
             table(("field", "value", "in linear", "unit, meaning"), rows),
         ]
+    parts += ["## Ranges\n", RANGES_NOTE, ranges()]
     return "\n".join(parts)
+
+
+RANGES_NOTE = (
+    "What each number may be, checked when its part is made; an error names field, value and "
+    "range. A physics step that is too long for the fastest mode, and a scenario that needs more memory "
+    "than four fifths of what is free, are refused too.\n"
+)
+
+
+def ranges() -> str:
+    """Return the table of every parameter's range."""
+    rows = [
+        (f"`{kind}.{field}`", allowed.interval)
+        for kind, fields_of in RANGES.items()
+        for field, allowed in fields_of.items()
+    ]
+    return table(("parameter", "range"), rows)
 
 
 def suits(name: str, scenario: Scenario) -> bool:

@@ -10,11 +10,14 @@ from functools import lru_cache
 import numpy as np
 import scipy  # loads scipy.signal on first use, which takes half a second
 
-from shake_env.errors import ParameterError
+from shake_env.errors import ParameterError, RecordError
 from shake_env.parameters import FloatArray, is_number
 from shake_env.ranges import check_ranges
 from shake_env.records import Record, load_record
 from shake_env.rest import RAMP, from_rest, integrals
+
+MOST_SAMPLES = 20_000_000  # of a recorded target, some 2 GiB with its integrals
+LARGEST = 1e12  # [m/s^2] of a recorded target: 1e6 times any record's
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,12 +157,23 @@ def target_history(motion: RecordedMotion, physics_step: float) -> TargetHistory
         motion.lowpass_frequency,
     )
     interval = record.sampling_interval / motion.time_compression
-    acceleration = motion.amplitude * resample(acceleration, interval, physics_step)
-    samples = None if motion.duration is None else round(motion.duration / physics_step) + 1
+    samples = record.duration / motion.time_compression / physics_step
+    if samples > MOST_SAMPLES:
+        raise RecordError(
+            record.name,
+            f"{samples:.3g} samples at {physics_step:g} s",
+            f"must be at most {MOST_SAMPLES:.3g}: cut the record, or lengthen the physics step",
+        )
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused
+        acceleration = motion.amplitude * resample(acceleration, interval, physics_step)
+    peak = float(np.max(np.abs(acceleration)))
+    if not peak <= LARGEST:
+        raise RecordError(record.name, f"{peak:.3g} m/s^2", f"must be at most {LARGEST:g} m/s^2")
+    end = None if motion.duration is None else round(motion.duration / physics_step) + 1
     if motion.prepared:
         parts = from_rest(acceleration, physics_step, RAMP / motion.time_compression)
-        return TargetHistory(*(values[:samples] for values in parts))
-    return TargetHistory(*integrals(acceleration[:samples], physics_step))
+        return TargetHistory(*(values[:end] for values in parts))
+    return TargetHistory(*integrals(acceleration[:end], physics_step))
 
 
 def check_band(highpass: float | None, lowpass: float | None, interval: float) -> None:

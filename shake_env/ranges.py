@@ -187,7 +187,6 @@ RANGES: dict[str, dict[str, Range]] = {
         "moving_mass": Range(1e-3, 1e12, "kg"),
         "table_damping": Range(1e-6, 1e9, "N s/m", zero=True),
     },
-    "Record": {"sampling_interval": Range(1e-6, 1e3, "s")},
 }
 """Class, or class and constructor, to field to range."""
 

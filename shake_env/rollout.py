@@ -41,7 +41,7 @@ def noise_earthquakes(scenario: Scenario, number: int, seed: int = 0) -> list[Ea
     if not isinstance(motion, FilteredNoise):
         limited = scenario.limits.table_displacement is not None
         motion = laboratory_noise() if limited else FilteredNoise()
-    return [Earthquake(f"noise {seed + i}", motion, seed + i) for i in range(number)]
+    return _shaking([Earthquake(f"noise {seed + i}", motion, seed + i) for i in range(number)])
 
 
 def record_amplitude(scenario: Scenario) -> float:
@@ -62,7 +62,9 @@ def recorded_earthquakes(scenario: Scenario) -> list[Earthquake]:
     """
     motion = scenario.motion
     if isinstance(motion, MotionSet):
-        return [Earthquake(m.source.name, m) for m in motion.scaled if isinstance(m, RecordedMotion)]
+        return _shaking(
+            [Earthquake(m.source.name, m) for m in motion.scaled if isinstance(m, RecordedMotion)]
+        )
     limited = scenario.limits.table_displacement is not None
     if not isinstance(motion, RecordedMotion):
         motion = RecordedMotion(record=RECORD_NAMES[0], amplitude=record_amplitude(scenario))
@@ -72,7 +74,17 @@ def recorded_earthquakes(scenario: Scenario) -> list[Earthquake]:
         motions = [
             fit_amplitude(m, capacity, physics_step=scenario.physics_step).motion for m in motions
         ]
-    return [Earthquake(m.source.name, m) for m in motions]
+    return _shaking([Earthquake(m.source.name, m) for m in motions])
+
+
+def _shaking(earthquakes: list[Earthquake]) -> list[Earthquake]:
+    """Return earthquakes; raise ParameterError where one has no amplitude to relate an error to."""
+    for quake in earthquakes:
+        if not isinstance(quake.motion, MotionSet) and quake.motion.amplitude == 0.0:
+            raise ParameterError(
+                "amplitude", quake.motion.amplitude, f"{quake.name} holds no motion: must be above 0"
+            )
+    return earthquakes
 
 
 def rollout(

@@ -141,6 +141,12 @@ def test_values_out_of_range_are_one_line(arguments, capsys, tmp_path):
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
+@pytest.mark.parametrize("which", [["--noise", "0"], ["--no-records", "--noise", "1"]])
+def test_no_controller_is_judged_without_a_motion(which, capsys):
+    assert main(["compare", "--amplitude", "0", "--controllers", "none", *which]) == 2
+    assert "amplitude = 0.0: " in capsys.readouterr().err
+
+
 def test_a_record_of_zeros_holds_no_motion(capsys, tmp_path):
     path = tmp_path / "zeros.csv"
     path.write_text("".join(f"{0.01 * i:.2f} 0.0\n" for i in range(200)))

@@ -1,7 +1,9 @@
 """Extreme scenarios: they build, reset and step with finite numbers, or raise a ShakeError."""
 
 import math
+import tracemalloc
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -31,7 +33,9 @@ from shake_env import (
     make_scenario,
 )
 from shake_env.errors import NumericalError, ParameterError, ScenarioError, ShakeError
+from shake_env.memory import memory_needed
 from shake_env.ranges import RANGES
+from shake_env.simulation import Simulation
 
 # Class to one that is made of the fields of the table, beside what it needs anyway.
 KINDS = {
@@ -205,3 +209,27 @@ def test_memory_is_estimated_before_it_is_taken():
         ShakeTableVectorEnv(1000, "unknown-specimen", stories=200)
     with pytest.raises(ParameterError, match="num_envs"):
         ShakeTableVectorEnv(10**9)
+
+
+@pytest.mark.parametrize(
+    ("name", "lanes", "overrides"),
+    [
+        ("linear", 2048, {}),
+        ("linear", 1, {"stories": 60}),
+        ("laboratory", 256, {"fields": {"sensing.history": 300}}),
+        ("unknown-specimen", 128, {}),
+        ("linear", 1, {"control_rate": 2.0}),
+    ],
+)
+def test_the_estimate_is_near_what_is_taken(name, lanes, overrides):
+    scenario = make_scenario(name, overrides)
+    Simulation(replace(scenario), 1)  # what is compiled or imported once is not the scenario's
+    tracemalloc.start()
+    try:
+        simulation = Simulation(scenario, lanes)
+        simulation.start(range(lanes), [np.random.default_rng(i) for i in range(lanes)])
+        simulation.step(np.zeros(lanes))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert 0.7 * peak < memory_needed(scenario, lanes) < 4.0 * peak

@@ -9,6 +9,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.signal import detrend
 
 from shake_env import RECORD_NAMES, Record, RecordedMotion, load_record
+from shake_env.errors import RecordError
 from shake_env.motion import band_pass, target_history
 from shake_env.preparation import filtered, remove_baseline, resampled
 from shake_env.records import read_motion, write_record
@@ -142,3 +143,12 @@ def test_short_motions_and_motions_of_zeros(samples):
         assert np.isfinite(displacement).all() and acceleration[0] == displacement[0] == 0.0
         if not values.any():
             assert not acceleration.any() and len(acceleration) == samples
+
+
+def test_targets_that_are_too_large_or_too_long_are_refused():
+    large = Record("large", np.full(100, 1e300), 0.01, ())
+    with pytest.raises(RecordError, match="must be at most 1e\\+12"):
+        target_history(RecordedMotion(record=large, amplitude=1e6, highpass_frequency=None), STEP)
+    long = Record("long", np.ones(50_000), 0.9, ())
+    with pytest.raises(RecordError, match="cut the record"):
+        target_history(RecordedMotion(record=long, highpass_frequency=None), STEP)
