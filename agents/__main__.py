@@ -10,10 +10,10 @@ import traceback
 from collections.abc import Sequence
 
 import shake_env
-from agents.command_options import CommandOptions
-from agents.commands import COMPLETION, HELP, command_help, parse, print_completion
+from agents.cli.command_options import CommandOptions
+from agents.cli.commands import COMPLETION, HELP, command_help, parse, print_completion
 from agents.progress import display
-from agents.terminal import OutputConsole
+from agents.reporting.terminal import OutputConsole
 from shake_env.errors import ShakeError, install_hint
 
 MISTAKE, INTERRUPTED, BROKEN_PIPE = 2, 130, 141  # exit codes

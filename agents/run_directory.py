@@ -342,3 +342,25 @@ def _sync_folder(folder: Path) -> None:
         pass
     finally:
         os.close(descriptor)
+
+
+def learning_curve(controller: str) -> list[tuple[int, float]]:
+    """Return (steps, cost relative to its reference) of a policy's run, empty if it has none.
+
+    Parameters
+    ----------
+    controller
+        Path of a run directory, or of a policy file in one.
+    """
+    path = Path(controller)
+    file = (path if path.is_dir() else path.parent) / "evaluations.jsonl"
+    if not path.exists() or not file.is_file():
+        return []
+    curve = []
+    for line in file.read_text(encoding="utf-8").splitlines():
+        try:
+            row = json.loads(line)
+            curve.append((int(row["steps"]), float(row["cost_ratio"])))
+        except (ValueError, KeyError, TypeError):
+            continue  # a killed run leaves half a line
+    return curve

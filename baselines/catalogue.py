@@ -12,28 +12,28 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal
 
-from baselines.adaptive import certainty_equivalence
-from baselines.disturbance_observer import DisturbanceObserver, ObserverDesign
-from baselines.estimator_model import ModelError
-from baselines.feedforward import FeedforwardLQR
-from baselines.ilc import norm_optimal_learning
-from baselines.inverse import InverseDesign, InverseFeedForward
-from baselines.iteration import IterationPlan, transfer_function_iteration
-from baselines.lqg import estimated
-from baselines.lqr import LinearFeedback, lqr
-from baselines.lqr_continuous import continuous_lqr
-from baselines.lqr_integral import DisplacementWeights, IntegralFeedback, lqr_integral
-from baselines.mcs import MCS, MCSDesign
-from baselines.mpc import MPCSettings, PredictiveControl
-from baselines.multi_model import drawn_models, multi_model_lqr
-from baselines.pid import PIDRule, pid
-from baselines.preview_lqr import PreviewFeedback, with_preview
-from baselines.robust import robust_feedback
-from baselines.tvc import TVCDesign, tvc
+from baselines.estimation.adaptive import certainty_equivalence
+from baselines.estimation.estimator_model import ModelError
+from baselines.estimation.lqg import estimated
+from baselines.iterative.ilc import norm_optimal_learning
+from baselines.iterative.transfer_function_iteration import IterationPlan, transfer_function_iteration
+from baselines.lqr.continuous import continuous_lqr
+from baselines.lqr.feedforward import FeedforwardLQR
+from baselines.lqr.h_infinity import robust_feedback
+from baselines.lqr.integral import DisplacementWeights, IntegralFeedback, lqr_integral
+from baselines.lqr.mpc import MPCSettings, PredictiveControl
+from baselines.lqr.multi_model import drawn_models, multi_model_lqr
+from baselines.lqr.preview import PreviewFeedback, with_preview
+from baselines.lqr.sampled import LinearFeedback, lqr
+from baselines.servo.disturbance_observer import DisturbanceObserver, ObserverDesign
+from baselines.servo.inverse_model import InverseDesign, InverseFeedForward
+from baselines.servo.mcs import MCS, MCSDesign
+from baselines.servo.pid import PIDRule, pid
+from baselines.servo.tvc import TVCDesign, tvc
 from shake_env.controller import Controller, NoControl
 from shake_env.errors import ParameterError, ScenarioError
 from shake_env.rollout import Earthquake
-from shake_env.scenario import Scenario
+from shake_env.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True)

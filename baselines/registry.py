@@ -15,10 +15,10 @@ from baselines.catalogue import BASELINES, Baseline
 from baselines.tuned_values import TunedEntry, TunedValues, packaged_values
 from shake_env.controller import Controller
 from shake_env.errors import ScenarioError, unknown
-from shake_env.motion import MotionSet
+from shake_env.motion.targets import MotionSet
 from shake_env.rollout import Earthquake
-from shake_env.scenario import Scenario
-from shake_env.scenario_digest import named_digest, scenario_digest
+from shake_env.scenario.digest import named_digest, scenario_digest
+from shake_env.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True, kw_only=True)

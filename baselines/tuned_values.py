@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from shake_env.errors import ParameterError
-from shake_env.parameters import is_number
+from shake_env.model.parameters import is_number
 
 FORMAT = "shake-tuned-1"
 _REMEDY = "is no file of tuned values: shake tune CONTROLLER --keep FILE writes one"
@@ -24,7 +24,7 @@ class TunedEntry:
     """What a search found for one controller on one scenario."""
 
     controller: str
-    digest: str  # of the scenario, see `shake_env.scenario_digest`
+    digest: str  # of the scenario, see `shake_env.scenario.digest`
     scenario: str  # its name then, for a reader; it decides nothing
     parameters: Mapping[str, float]
     search: Mapping[str, Any] = field(default_factory=dict)  # budget, costs, seed, version

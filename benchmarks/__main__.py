@@ -19,7 +19,7 @@ import gymnasium
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from agents.marked_page import put
+from agents.reporting.markdown_blocks import put
 from benchmarks.arithmetic import closed_loops, kernel
 from benchmarks.decision import decisions
 from benchmarks.device import device

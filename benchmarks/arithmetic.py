@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from scipy.signal import dlsim
 
-from baselines.linear_batch import mean_squares
-from baselines.lqr import sampled_lqr
+from baselines.analysis.batch_response import mean_squares
+from baselines.lqr.sampled import sampled_lqr
 from benchmarks.timing import seconds_each
 from shake_env import make_scenario
-from shake_env.discretization import DiscretePlant, DiscreteStateSpace, zero_order_hold
-from shake_env.simulation import Simulation
+from shake_env.model.discretization import DiscretePlant, DiscreteStateSpace, zero_order_hold
+from shake_env.simulation.simulation import Simulation
 
 TABLES = 1024
 CONTROLLED = "augmented product, controlled table alone"  # what an action reaches: 4 + 2 n_m states

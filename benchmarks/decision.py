@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from agents.base_law import base_law
-from agents.config import config_of
-from agents.direct import DIRECT_GAIN
-from agents.memory_units import PARTS
-from agents.models import new_model
-from agents.policy_file import PolicyFile, load_policy
-from agents.sb3_vec_env import ShakeTableVecEnv
-from agents.shipped import shipped_policy
+from agents.learning.networks import DIRECT_GAIN
+from agents.learning.vec_env import ShakeTableVecEnv
+from agents.policies.base_law import base_law
+from agents.policies.policy_file import PolicyFile, load_policy
+from agents.policies.recurrent_cells import PARTS
+from agents.policies.registry import shipped_policy
+from agents.training.config import config_of
+from agents.training.model_factory import new_model
 from benchmarks.timing import seconds_each
 
 SHIPPED = {

@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 import torch
 
-from agents.algorithm_options import AnalyticOptions
-from agents.base_law import base_law
-from agents.config import TrainConfig
-from agents.models import new_model
-from agents.options import ScenarioOptions
-from agents.sb3_vec_env import ShakeTableVecEnv
-from agents.torch_plant import torch_model
+from agents.learning.apg.torch_plant import torch_model
+from agents.learning.vec_env import ShakeTableVecEnv
+from agents.policies.base_law import base_law
+from agents.scenario_options import ScenarioOptions
+from agents.training.algorithm_options import AnalyticOptions
+from agents.training.config import TrainConfig
+from agents.training.model_factory import new_model
 from shake_env import make_scenario
-from shake_env.ground import GroundPeriod
-from shake_env.measurement import SensorMemory
-from shake_env.simulation import Simulation
+from shake_env.dynamics.ground import GroundPeriod
+from shake_env.simulation.sensors import SensorMemory
+from shake_env.simulation.simulation import Simulation
 
 SCENARIOS = {"linear": {"stories": 5}, "laboratory": {}}
 POWERS = {"cpu": (10, 12, 14), "cuda": (10, 12, 14, 16, 18, 20)}

@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from agents.sb3_vec_env import ShakeTableVecEnv
+from agents.learning.vec_env import ShakeTableVecEnv
 from benchmarks.timing import seconds_each
 from shake_env import Uncertainty, Uniform, make_scenario
 

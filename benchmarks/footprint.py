@@ -20,7 +20,7 @@ MEMORY = """
 import pathlib, re, resource
 import numpy as np
 from shake_env import make_scenario
-from shake_env.simulation import Simulation
+from shake_env.simulation.simulation import Simulation
 scenario = make_scenario("laboratory", {"duration": 60.0})
 simulation = Simulation(scenario, 4096)
 simulation.start(range(4096), [np.random.default_rng(i) for i in range(4096)])

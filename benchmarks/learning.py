@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from agents.algorithm_options import AnalyticOptions, PPOOptions
-from agents.base_law import base_law
-from agents.config import TrainConfig
-from agents.models import new_model
-from agents.options import ScenarioOptions
-from agents.sb3_vec_env import ShakeTableVecEnv
+from agents.learning.vec_env import ShakeTableVecEnv
+from agents.policies.base_law import base_law
+from agents.scenario_options import ScenarioOptions
+from agents.training.algorithm_options import AnalyticOptions, PPOOptions
+from agents.training.config import TrainConfig
+from agents.training.model_factory import new_model
 from benchmarks.scaling import exponent
 from benchmarks.timing import seconds_each
 

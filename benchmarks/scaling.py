@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.timing import seconds_each
 from shake_env import Sensing, make_scenario
-from shake_env.simulation import Simulation
+from shake_env.simulation.simulation import Simulation
 
 TABLES = 256
 

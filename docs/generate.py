@@ -19,16 +19,16 @@ DOCS = Path(__file__).parent
 ROOT = DOCS.parent
 sys.path.insert(0, str(ROOT))  # this checkout, whatever is installed
 
-from agents.command_options import FolderOptions  # noqa: E402
-from agents.commands import COMMANDS  # noqa: E402
-from agents.frames import COLUMNS  # noqa: E402
+from agents.cli.command_options import FolderOptions  # noqa: E402
+from agents.cli.commands import COMMANDS  # noqa: E402
+from agents.evaluation.results import COLUMNS  # noqa: E402
 from baselines.catalogue import BASELINES  # noqa: E402
 from baselines.registry import reference_name, tuned_parameters  # noqa: E402
 from shake_env import SCENARIO_NAMES, make_scenario  # noqa: E402
 from shake_env.errors import ShakeError  # noqa: E402
-from shake_env.ranges import RANGES  # noqa: E402
-from shake_env.scenario import Scenario  # noqa: E402
-from shake_env.scenario_file import flattened  # noqa: E402
+from shake_env.model.ranges import RANGES  # noqa: E402
+from shake_env.scenario.scenario import Scenario  # noqa: E402
+from shake_env.scenario.scenario_file import flattened  # noqa: E402
 
 NOTE = "<!-- Made by docs/generate.py from the code. -->\n"
 PACKAGES = {
@@ -179,7 +179,7 @@ def columns() -> str:
         "same names. `frame.attrs[\"units\"]` holds the units. A ratio has the unit `-`, a count `1`.\n",
         table(("column", "unit", "meaning"), rows),
         """```python
-from agents.compare import compare
+from agents.evaluation.compare import compare
 from shake_env import make_scenario
 
 result = compare(make_scenario("linear", {"duration": 2.0}), ("lqr", "none"), noise=4, records=False)

@@ -10,18 +10,18 @@ from gymnasium.envs.registration import register
 from shake_env.controller import Controller, NoControl
 from shake_env.env import ShakeTableEnv
 from shake_env.errors import ShakeError
-from shake_env.limits import Limits
-from shake_env.motion import Envelope, FilteredNoise, Motion, MotionSet, RecordedMotion
-from shake_env.named import NAMED
-from shake_env.nonlinearity import Friction, Nonlinearity, ServoValve, StrokeStops, Yielding
-from shake_env.objective import Objective
-from shake_env.overrides import make_scenario
-from shake_env.parameters import Actuator, GroundFilter, ModelEquations, Specimen
+from shake_env.model.nonlinearity import Friction, Nonlinearity, ServoValve, StrokeStops, Yielding
+from shake_env.model.parameters import Actuator, GroundFilter, ModelEquations, Specimen
+from shake_env.motion.targets import Envelope, FilteredNoise, Motion, MotionSet, RecordedMotion
 from shake_env.records import RECORD_NAMES, Record, load_record, read_motion, write_record
-from shake_env.scenario import Scenario
-from shake_env.sensing import Sensing, Sensor
-from shake_env.supervisor import Supervised
-from shake_env.uncertainty import Uncertainty, Uniform
+from shake_env.safety.supervisor import Supervised
+from shake_env.scenario.limits import Limits
+from shake_env.scenario.objective import Objective
+from shake_env.scenario.observation import Sensing, Sensor
+from shake_env.scenario.overrides import make_scenario
+from shake_env.scenario.presets import NAMED
+from shake_env.scenario.scenario import Scenario
+from shake_env.scenario.uncertainty import Uncertainty, Uniform
 from shake_env.vector_env import ShakeTableVectorEnv
 
 # ShakeTable-v0 takes the scenario as an argument; each named one also has an id of its own.

@@ -11,14 +11,14 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from shake_env.errors import NumericalError, ScenarioError
-from shake_env.inputs import checked_action, checked_options, checked_seed
-from shake_env.limits import OBSERVATION_BOUND, REASONS
-from shake_env.motion import Motion
-from shake_env.overrides import Overrides, make_scenario
-from shake_env.packing import TERMINATED, TRUNCATED
-from shake_env.rendering import FRAME_RATE, RENDER_MODES, make_view, metadata
-from shake_env.scenario import Scenario
-from shake_env.simulation import Simulation, episode_stream, step_report
+from shake_env.model.inputs import checked_action, checked_options, checked_seed
+from shake_env.motion.targets import Motion
+from shake_env.rendering.window import FRAME_RATE, RENDER_MODES, make_view, metadata
+from shake_env.scenario.limits import OBSERVATION_BOUND, REASONS
+from shake_env.scenario.overrides import Overrides, make_scenario
+from shake_env.scenario.scenario import Scenario
+from shake_env.simulation.fused_layout import TERMINATED, TRUNCATED
+from shake_env.simulation.simulation import Simulation, episode_stream, step_report
 
 INFO_KEYS = (
     "table_acceleration",

@@ -8,18 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from shake_env.capacity import scenario_capacity
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError
-from shake_env.limits import REASONS
-from shake_env.metrics import EpisodeMetrics, Sums
-from shake_env.motion import FilteredNoise, Motion, MotionSet, RecordedMotion
-from shake_env.named import laboratory_noise
-from shake_env.preparation import fit_amplitude
+from shake_env.motion.processing import fit_amplitude
+from shake_env.motion.targets import FilteredNoise, Motion, MotionSet, RecordedMotion
 from shake_env.records import RECORD_NAMES
-from shake_env.scenario import Scenario
-from shake_env.simulation import Simulation, checked_action
-from shake_env.trajectory import Recorder, Trajectory
+from shake_env.scenario.capacity import scenario_capacity
+from shake_env.scenario.limits import REASONS
+from shake_env.scenario.presets import laboratory_noise
+from shake_env.scenario.scenario import Scenario
+from shake_env.scenario.uncertainty import Uncertainty
+from shake_env.simulation.metrics import EpisodeMetrics, Sums
+from shake_env.simulation.simulation import Simulation, checked_action
+from shake_env.simulation.trajectory import Recorder, Trajectory
 
 
 @dataclass(frozen=True)
@@ -151,3 +152,15 @@ def rollout(
     names = [quake.name for quake in earthquakes]
     metrics = sums.metrics(names, simulation.episode_steps, reasons)
     return metrics, recorder.trajectories(scenario.physics_step, scenario.control_period)
+
+
+def true_plants(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> list[Scenario]:
+    """Return the scenario with the plant that each earthquake's lane of a roll-out draws."""
+    if not scenario.uncertainty.active:
+        return [scenario] * len(earthquakes)
+    plants = []
+    for quake in earthquakes:
+        stream = np.random.default_rng(quake.seed)
+        quake.motion.pick(stream)  # a set of motions draws before the plant does
+        plants.append(replace(scenario.drawn(stream), uncertainty=Uncertainty()))
+    return plants

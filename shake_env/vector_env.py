@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from shake_env.env import INFO_KEYS, motion_option, refuse_overflow, refuse_rendering, single_spaces
 from shake_env.errors import ParameterError, ScenarioError
-from shake_env.inputs import checked_action, checked_options, checked_seeds
-from shake_env.limits import REASONS
-from shake_env.memory import check_memory
-from shake_env.overrides import Overrides, make_scenario
-from shake_env.parameters import FloatArray
-from shake_env.ranges import Range, check
-from shake_env.scenario import Scenario
-from shake_env.simulation import BoolArray, Simulation, StepResult, episode_stream
+from shake_env.model.inputs import checked_action, checked_options, checked_seeds
+from shake_env.model.parameters import FloatArray
+from shake_env.model.ranges import Range, check
+from shake_env.scenario.limits import REASONS
+from shake_env.scenario.overrides import Overrides, make_scenario
+from shake_env.scenario.scenario import Scenario
+from shake_env.simulation.memory import check_memory
+from shake_env.simulation.simulation import BoolArray, Simulation, StepResult, episode_stream
 
 NUM_ENVS = Range(1, 10_000_000, whole=True)
 _KEYS = tuple((key, f"_{key}") for key in INFO_KEYS)  # of a value, and of whether a lane has one
@@ -34,7 +34,8 @@ class _NamesSB3Env(type):
     """
 
     def __format__(cls, format_spec: str) -> str:
-        return f"{cls!r} (for Stable-Baselines3 use agents.sb3_env.make_sb3_env instead of make_vec)"
+        return f"{cls!r} (for Stable-Baselines3 use agents.learning.sb3_env.make_sb3_env instead of
+        make_vec)"
 
 
 class ShakeTableVectorEnv(
@@ -45,7 +46,7 @@ class ShakeTableVectorEnv(
     The spaces, reward, episode ends and `info` are those of ``ShakeTableEnv``, with a leading axis of
     N lanes. Lane i of ``reset(seed=s)`` repeats the single environment's ``reset(seed=s + i)`` and all
     the episodes that follow it, in any batch size. Stable-Baselines3 takes no Gymnasium vector
-    environment: give it ``agents.sb3_env.make_sb3_env``.
+    environment: give it ``agents.learning.sb3_env.make_sb3_env``.
 
     Parameters
     ----------

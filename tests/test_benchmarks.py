@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.policy_file import load_policy
-from agents.shipped import shipped_policy
+from agents.policies.policy_file import load_policy
+from agents.policies.registry import shipped_policy
 
 pytest.importorskip("torch")
 
@@ -49,7 +49,7 @@ def test_numbers_are_short(value, text):
 
 
 def test_the_page_has_a_place_for_every_table(tmp_path):
-    from agents.marked_page import put
+    from agents.reporting.markdown_blocks import put
     from benchmarks.__main__ import groups
 
     copy = tmp_path / "page.md"

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from agents.__main__ import main
-from agents.commands import COMMANDS, parse
+from agents.cli.commands import COMMANDS, parse
 from shake_env import make_scenario
-from shake_env.scenario_file import scenario_fields
+from shake_env.scenario.scenario_file import scenario_fields
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -15,13 +15,12 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
-from agents.compare import GroupSummary, compare
-from agents.features import LinearFeatures, feature_matrix, feature_sizes
-from agents.fidelity import Fidelity
-from agents.frames import COLUMNS
-from agents.wrappers import TrackingFeatures
-from baselines.lqr import lqr, sampled_lqr
-from baselines.python_control import (
+from agents.evaluation.compare import compare
+from agents.evaluation.fidelity import Fidelity
+from agents.evaluation.results import COLUMNS, GroupSummary
+from agents.learning.features import LinearFeatures, feature_matrix, feature_sizes
+from agents.learning.wrappers import TrackingFeatures
+from baselines.analysis.python_control import (
     OUTPUTS,
     ControlLaw,
     driven_to_control,
@@ -29,11 +28,12 @@ from baselines.python_control import (
     state_names,
     to_control,
 )
+from baselines.lqr.sampled import lqr, sampled_lqr
 from shake_env import make_scenario
-from shake_env.discretization import DiscreteStateSpace
 from shake_env.errors import ParameterError, ScenarioError
-from shake_env.metrics import EpisodeMetrics
+from shake_env.model.discretization import DiscreteStateSpace
 from shake_env.rollout import noise_earthquakes, rollout
+from shake_env.simulation.metrics import EpisodeMetrics
 
 SHORT = {"duration": 0.5}  # 100 control periods
 

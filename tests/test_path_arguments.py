@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.marked_page import has_place
+from agents.reporting.markdown_blocks import has_place
 from shake_env import RECORD_NAMES, load_record
 from shake_env.records import read_motion, write_record
 

@@ -10,7 +10,7 @@ from functools import cache
 from importlib import resources
 
 from shake_env.errors import RecordError, unknown
-from shake_env.records.embedded import parse_record, write_record
+from shake_env.records.formats.embedded import parse_record, write_record
 from shake_env.records.motion_file import parse_motion, read_motion
 from shake_env.records.record import Record
 

@@ -14,26 +14,26 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from shake_env.errors import ParameterError, RecordError
-from shake_env.parameters import GRAVITY, is_number
-from shake_env.records.afad import is_afad, parse_afad
-from shake_env.records.cdmg import is_cdmg, parse_cdmg
-from shake_env.records.columns import parse_columns
-from shake_env.records.cosmos import is_cosmos, parse_cosmos
-from shake_env.records.csmip import is_csmip, parse_csmip
-from shake_env.records.cwa import is_cwa, parse_cwa
-from shake_env.records.embedded import is_embedded, parse_embedded
-from shake_env.records.encoding import plain_text
-from shake_env.records.esm import is_esm, parse_esm
-from shake_env.records.geonet import is_geonet, parse_geonet
-from shake_env.records.header import refuse_seismometers
-from shake_env.records.knet import is_knet, parse_knet
-from shake_env.records.matlab import is_matlab, parse_matlab
-from shake_env.records.peer import is_peer, parse_peer
+from shake_env.model.parameters import GRAVITY, is_number
+from shake_env.records.formats.afad import is_afad, parse_afad
+from shake_env.records.formats.cdmg import is_cdmg, parse_cdmg
+from shake_env.records.formats.cosmos import is_cosmos, parse_cosmos
+from shake_env.records.formats.csmip import is_csmip, parse_csmip
+from shake_env.records.formats.cwa import is_cwa, parse_cwa
+from shake_env.records.formats.embedded import is_embedded, parse_embedded
+from shake_env.records.formats.esm import is_esm, parse_esm
+from shake_env.records.formats.geonet import is_geonet, parse_geonet
+from shake_env.records.formats.knet import is_knet, parse_knet
+from shake_env.records.formats.matlab import is_matlab, parse_matlab
+from shake_env.records.formats.peer import is_peer, parse_peer
+from shake_env.records.formats.smc import is_smc, parse_smc
+from shake_env.records.formats.spreadsheet import is_spreadsheet, parse_spreadsheet
+from shake_env.records.formats.waveform import is_waveform, parse_waveform
 from shake_env.records.record import Record
-from shake_env.records.smc import is_smc, parse_smc
-from shake_env.records.spreadsheet import is_spreadsheet, parse_spreadsheet
+from shake_env.records.text.columns import parse_columns
+from shake_env.records.text.encoding import plain_text
+from shake_env.records.text.header import refuse_seismometers
 from shake_env.records.units import Unit, unit_asked
-from shake_env.records.waveform import is_waveform, parse_waveform
 
 LARGEST_FILE = 256 * 2**20  # bytes
 LARGEST_ACCELERATION = 100.0 * GRAVITY  # [m/s^2] beyond it the unit must be wrong

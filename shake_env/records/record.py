@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from shake_env.errors import RecordError
-from shake_env.parameters import FloatArray
+from shake_env.model.parameters import FloatArray
 
 PREPARATION = "preparation "  # first word of the keys under which an attribution lists what was done
 
@@ -52,7 +52,7 @@ class Record:
 
     @property
     def prepared(self) -> bool:
-        """Whether `shake_env.preparation` made it, as its attribution says."""
+        """Whether `shake_env.motion.processing` made it, as its attribution says."""
         return any(key.startswith(PREPARATION) for key, _ in self.attribution)
 
     @property

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shake_env.errors import ParameterError, RecordError
-from shake_env.parameters import GRAVITY, FloatArray
+from shake_env.model.parameters import GRAVITY, FloatArray
 
 KNOWN = "g, %g, mg, m/s^2, cm/s^2 (gal), mm/s^2, in/s^2, ft/s^2"
 # Multiplier and divisor to m/s^2: division by a power of ten rounds once, a factor of 0.01 twice.

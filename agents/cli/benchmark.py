@@ -1,0 +1,121 @@
+"""The command ``shake bench``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from agents.cli.command_options import CommandOptions
+from agents.cli.output_path import require_writable
+from agents.progress import progress_bar
+from agents.reporting.terminal import print_markdown
+from agents.run_directory import write_json
+from baselines.tuned_values import read_tuned
+from shake_env.errors import ParameterError, ScenarioError, unknown
+from shake_env.scenario.presets import NAMED
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench(CommandOptions):
+    """Run every classical controller on every named scenario. Scenarios that are done are kept.
+
+    A scenario is done where the folder of results holds a result of the same number of earthquakes and
+    the same controllers. The results that docs/controllers.md shows lie in docs/results.
+
+    Try:
+      shake bench --scenarios laboratory --earthquakes 20
+      shake bench --controllers all controllers.py:MyController --results out/mine
+      shake bench --results docs/results --page docs/controllers.md
+    """
+
+    scenarios: tuple[str, ...] = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
+    """Named scenarios."""
+    controllers: tuple[str, ...] = ("clairvoyant", "all")
+    """Names as shake compare takes them; all: every classical controller that suits the scenario."""
+    earthquakes: int = 200
+    """Test earthquakes of each; `records` has its six."""
+    tuned: Path | None = None
+    """File of tuned values that shake tune --keep wrote, for controllers that nothing was tuned for."""
+    results: Path = Path("out/bench")
+    """Folder of the results, a JSON file each."""
+    page: Path | None = None
+    """Markdown page whose tables are renewed from all results."""
+    again: bool = False
+    """Whether scenarios that are done are run again, and results of other settings replaced."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Run what is not done, and say where it lies."""
+        from agents.evaluation.benchmark import read_results, result_file
+        from agents.policies.controller_set import describe_values, require_names
+        from agents.reporting.benchmark_tables import markdown, put_tables
+
+        require_names(self.controllers)
+        if not self.scenarios:
+            raise ParameterError("scenarios", "none", f"name at least one of {', '.join(NAMED)}")
+        require_writable(self.results, "results")
+        known = {name: self._known(name) for name in self.scenarios}  # before hours are spent
+        results = {}
+        for name in self.scenarios:
+            file = result_file(self.results, name)
+            result = known[name]
+            if result is not None:
+                number = result["rows"][0]["earthquakes"]
+                console.print(
+                    f"{name}: read from {file}, made before with {number} earthquakes by version "
+                    f"{result['version']} (--again runs it anew)",
+                    soft_wrap=True,
+                )
+            else:
+                result = self._run(name)
+                write_json(file, result, indent=1)
+                console.print(f"wrote {file}")
+            results[name] = result
+            print_markdown(console, markdown(result))
+            for note in (describe_values(result.get("values", {})), *result.get("warnings", ())):
+                if note:
+                    console.print(note, highlight=False, soft_wrap=True)
+        if self.page is not None:
+            put_tables(self.page, read_results(self.results))
+            console.print(f"wrote {self.page}")
+        return results
+
+    def _known(self, name: str) -> dict[str, Any] | None:
+        """Return the result that answers for a scenario; None where it has to be run.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such scenario.
+        FileError
+            If its file is no complete result.
+        ParameterError
+            If it holds a result of other settings.
+        """
+        from agents.evaluation.benchmark import difference, read_result, result_file
+
+        if name not in NAMED:
+            raise unknown(ScenarioError, "scenario", name, NAMED)
+        file = result_file(self.results, name)
+        if self.again or not file.exists():
+            return None
+        known = read_result(file)
+        other = difference(known, name, self.earthquakes, self.controllers, self.tuned)
+        if other:
+            remedy = f"{other}: give --again to replace it, or another folder by --results"
+            raise ParameterError("results", str(file), remedy)
+        return known
+
+    def _run(self, name: str) -> dict[str, Any]:
+        from agents.evaluation.benchmark import bench
+
+        with progress_bar() as progress:
+            task = progress.add_task(name, total=1.0)
+
+            def on_progress(controller: str, share: float) -> None:
+                progress.update(task, completed=share, description=f"{name}, {controller}")
+
+            tuned = None if self.tuned is None else read_tuned(self.tuned)
+            return bench(name, self.earthquakes, self.controllers, tuned, on_progress=on_progress)

@@ -1,0 +1,182 @@
+"""The commands ``shake campaign`` and ``shake results``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import TextColumn
+
+from agents.cli.command_options import CommandOptions
+from agents.cli.output_path import require_writable
+from agents.progress import progress_bar
+from agents.reporting.terminal import print_table
+from shake_env.errors import ParameterError, ShakeError
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunCampaign(CommandOptions):
+    """Train every recipe with every seed and evaluate what comes of it; goes on where it stopped.
+
+    Try:
+      shake campaign --dry-run
+      shake campaign --only linear/ppo linear/sac --seeds 2
+      shake campaign --only 'laboratory/*' --processes 4
+      shake campaign --results docs/results
+    """
+
+    only: tuple[str, ...] = ()
+    """Recipes as SCENARIO/ALGORITHM, or patterns such as linear/*; none: all."""
+    seeds: int | None = None
+    """Seeds of each recipe (unset: as many as it asks for)."""
+    processes: int = 2
+    """Runs at a time, each of one thread."""
+    folder: Path = Path("runs/campaign")
+    """Where runs lie, as SCENARIO/ALGORITHM/SEED."""
+    results: Path = Path("out/campaign")
+    """Folder of the results, a JSON file for each scenario (the documentation's: docs/results)."""
+    evaluate: bool = True
+    """Whether the scenarios of these recipes are evaluated when their runs are done."""
+    again: bool = False
+    """Whether all rows are evaluated anew, of the policies that there are, rather than the new ones."""
+    dry_run: bool = False
+    """Print what would be run, with the minutes expected, and do nothing."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Run, evaluate, and say what failed."""
+        from agents.experiments.recipes import RECIPES
+        from agents.experiments.runner import Campaign, plan, plan_rows
+
+        if self.processes < 1:
+            raise ParameterError("processes", self.processes, "must be at least 1")
+        if self.seeds is not None and self.seeds < 1:
+            raise ParameterError("seeds", self.seeds, "must be at least 1")
+        tasks = plan(RECIPES, self.folder, self.only, self.seeds)
+        campaign = Campaign(tasks, self.processes)
+        if self.dry_run:
+            rows = plan_rows(tasks)
+            minutes = campaign.seconds_left() / 60.0
+            _print_plan(rows, minutes, self.processes, console)
+            return {"plan": rows, "minutes_left": minutes}
+        require_writable(self.folder, "folder")
+        if self.evaluate:
+            require_writable(self.results, "results")
+        _train(campaign, console)
+        failures = dict(campaign.failures())
+        written = self._evaluate(tasks, failures, console) if self.evaluate else []
+        for name, failure in failures.items():
+            console.print(f"failed: {name}: {failure}", highlight=False)
+        return {"runs": campaign.counts(), "failures": failures, "results": written}
+
+    def exit_code(self, result: dict[str, Any]) -> int:
+        """Return 1 if a run or an evaluation failed."""
+        return 1 if result.get("failures") else 0
+
+    def _evaluate(self, tasks: list[Any], failures: dict[str, str], console: Console) -> list[str]:
+        from agents.experiments.recipes import ARENAS
+        from agents.experiments.results import evaluate_arena
+
+        trained = {task.recipe.arena for task in tasks}
+        written = []
+        for arena in ARENAS:
+            if (arena.trained_on or arena.name) not in trained:
+                continue
+            try:
+                with progress_bar() as progress:
+                    bar = progress.add_task(f"evaluating {arena.name}", total=1.0)
+
+                    def told(name: str, share: float, bar: Any = bar, arena: Any = arena) -> None:
+                        text = f"evaluating {arena.name}, {name}"
+                        progress.update(bar, completed=share, description=text)
+
+                    file, _, made = evaluate_arena(
+                        arena, self.folder, self.results, again=self.again, on_progress=told
+                    )
+            except ShakeError as error:
+                failures[f"evaluation of {arena.name}"] = str(error)
+                continue
+            console.print(f"wrote {file}" if made else f"{arena.name}: evaluated before, {file}")
+            written.append(str(file))
+        return written
+
+
+def _train(campaign: Any, console: Console) -> None:
+    columns = (TextColumn("{task.fields[note]}"),)
+    with progress_bar(*columns) as progress:
+        total = progress.add_task("campaign", total=len(campaign.tasks), note="")
+        bars: dict[str, Any] = {}
+
+        def on_update(campaign: Any) -> None:
+            counts = campaign.counts()
+            minutes = campaign.seconds_left() / 60.0
+            note = f"{counts.get('done', 0)} of {len(campaign.tasks)} runs, {minutes:.0f} min left"
+            if failed := counts.get("failed", 0):
+                note += f", {failed} failed"
+            share = sum(1.0 if t.state in ("failed", "foreign") else t.share for t in campaign.tasks)
+            progress.update(total, completed=share, note=note)
+            for task in campaign.tasks:
+                if task.state == "running":
+                    if task.name not in bars:
+                        bars[task.name] = progress.add_task(task.name, total=1.0, note="")
+                    ratio = "" if task.cost_ratio is None else f"cost ratio {task.cost_ratio:.3f}"
+                    progress.update(bars[task.name], completed=task.share, note=ratio)
+                elif task.name in bars:
+                    progress.remove_task(bars.pop(task.name))
+                    console.print(f"{task.name}: {task.state}", highlight=False)
+
+        on_update(campaign)
+        campaign.run(on_update)
+
+
+def _print_plan(rows: list[dict[str, Any]], minutes: float, processes: int, console: Console) -> None:
+    headings = ("recipe", "runs", "done", "steps", "minutes\nleft", "deviates by")
+    cells = [
+        (
+            row["recipe"], str(row["runs"]), str(row["done"]), f"{row['steps']:,}",
+            f"{row['minutes_left']:.0f}", row["why"],
+        )
+        for row in rows
+    ]  # fmt: skip
+    print_table(console, headings, cells, left=(5,), fold=5)
+    console.print(f"{minutes:.0f} minutes left with {processes} at a time, then the evaluations")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Results(CommandOptions):
+    """Print result files as Markdown tables, or renew the tables of a page.
+
+    Try:
+      shake results
+      shake results --results out/evaluate --page out/results.md
+      shake results --results docs/results --page docs/results.md
+    """
+
+    results: Path = Path("out/campaign")
+    """Folder of the results (those of the documentation: docs/results)."""
+    page: Path | None = None
+    """Markdown page to renew; a table stands between <!-- evaluation NAME --> and <!-- end NAME -->.
+    Unset: the tables are printed, and no file is written."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Print the tables; or write the page, and say what has no place on it."""
+        from agents.evaluation.result_files import read_results
+        from agents.reporting.evaluation_tables import markdown, put_tables
+
+        if self.page is not None and not self.page.is_file():
+            raise ParameterError("page", str(self.page), "there is no such file")
+        results = read_results(self.results)
+        if not results:
+            raise ParameterError("results", str(self.results), "holds no evaluation_*.json")
+        if self.page is None:
+            for name, result in results.items():
+                console.print(f"{name}\n\n{markdown(result)}", highlight=False, soft_wrap=True)
+            return {"page": None, "tables": list(results), "without_place": []}
+        missing = put_tables(self.page, results)
+        console.print(
+            f"wrote {self.page}: {', '.join(n for n in results if n not in missing) or 'no'} table"
+        )
+        for name in missing:
+            console.print(f"no place for {name}: the page lacks <!-- evaluation {name} -->")
+        return {"page": str(self.page), "tables": list(results), "without_place": missing}

@@ -1,0 +1,186 @@
+"""The table of the commands, and how their lines are understood. Modules are imported on use."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import tyro
+from tyro.constructors import (
+    ConstructorRegistry,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
+)
+
+from agents.cli.command_options import CommandOptions
+from agents.scenario_options import SCENARIO_HELP, ScenarioOptions
+from shake_env.errors import ParameterError, unknown
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command: where its class is, and what it does in a line."""
+
+    module: str
+    kind: str  # name of the class
+    summary: str
+
+    def load(self) -> type[Any]:
+        """Return its class."""
+        kind: type[Any] = getattr(importlib.import_module(self.module), self.kind)
+        return kind
+
+
+COMMANDS = {
+    "compare": Command(
+        "agents.cli.compare", "Compare", "Controllers side by side on the same earthquakes."
+    ),
+    "design": Command("agents.cli.design", "Design", "LQR of a specimen, and what to expect of it."),
+    "watch": Command("agents.cli.watch", "Watch", "A controller at work, in a window or as a film."),
+    "motion": Command(
+        "agents.cli.motion", "Motion", "A recorded motion, and the scale that the table needs."
+    ),
+    "scenario": Command(
+        "agents.cli.scenario", "ShowScenario", "Every field of a scenario; with --json its file."
+    ),
+    "list": Command(
+        "agents.cli.list_names", "List", "Names of scenarios, controllers, policies and records."
+    ),
+    "train": Command("agents.cli.train", "Train", "Train a policy."),
+    "evaluate": Command(
+        "agents.cli.evaluate", "Evaluate", "Policies under the evaluation protocol."
+    ),
+    "tune": Command("agents.cli.tune", "Tune", "Search a controller's free parameters."),
+    "robustness": Command(
+        "agents.cli.robustness", "Robustness", "Controllers on tables unlike those of their design."
+    ),
+    "export": Command("agents.cli.policy", "Export", "A policy as ONNX."),
+    "card": Command("agents.cli.policy", "Card", "A policy's card: training, evaluation, limits."),
+    "bench": Command(
+        "agents.cli.benchmark", "Bench", "Every classical controller on every named scenario."
+    ),
+    "campaign": Command("agents.cli.campaign", "RunCampaign", "Train every recipe, several seeds."),
+    "results": Command("agents.cli.campaign", "Results", "Renew the tables of the results page."),
+    "recipe-search": Command(
+        "agents.cli.recipe_search", "SearchRecipe", "Search a recipe's values by short trainings."
+    ),
+    "reproduce": Command(
+        "agents.cli.reproduce", "Reproduce", "Tables and figures of Gavin and Hoagg (2009)."
+    ),
+    "validate": Command(
+        "agents.cli.validate", "Validate", "Check every response of the table against its range."
+    ),
+    "components": Command(
+        "agents.cli.components", "Components", "Figures of yielding, friction and valve."
+    ),
+}  # fmt: skip
+HELP = ("-h", "--help")
+HELP_SCENARIO = "--help-scenario"
+COMPLETION = ("--tyro-print-completion", "--tyro-write-completion")
+LEADING = ("--json", "--quiet", "--verbose")  # may stand ahead of the command as well
+
+
+def command_help() -> str:
+    """Return the help of ``shake`` itself."""
+    width = max(map(len, COMMANDS)) + 2
+    lines = [
+        "usage: shake [--version] [--help] COMMAND ...",
+        "",
+        "Shake tables under learned and classical control.",
+        "",
+        *(f"  {name:<{width}}{command.summary}" for name, command in COMMANDS.items()),
+        "",
+        "shake COMMAND --help           options of a command, with examples",
+        "shake COMMAND --help-scenario  options that change a scenario",
+        "shake --tyro-print-completion {bash,zsh,tcsh}   a shell's completion script",
+        "",
+        "Every command takes --json (one object, nothing else), --quiet and --verbose.",
+    ]
+    return "\n".join(lines)
+
+
+def command_of(name: str) -> Command:
+    """Return a command by its name.
+
+    Raises
+    ------
+    ParameterError
+        If there is none of that name.
+    """
+    if name not in COMMANDS:
+        raise unknown(ParameterError, "command", name, COMMANDS)
+    return COMMANDS[name]
+
+
+def parse(words: Sequence[str]) -> CommandOptions:
+    """Return the command that a line stands for, with its options.
+
+    Help, and a mistake in the options, end in SystemExit, as `tyro.cli` has it.
+
+    Raises
+    ------
+    ParameterError
+        If the command is unknown, or its options contradict each other.
+    """
+    words = list(words)
+    ahead = []
+    while words and words[0] in LEADING:
+        ahead.append(words.pop(0))
+    if not words:
+        raise ParameterError("command", None, f"name one: {', '.join(COMMANDS)}")
+    name, *rest = words
+    if name.startswith("-"):
+        raise ParameterError("command", name, "is no option of shake itself: name a command first")
+    kind, prog = command_of(name).load(), f"shake {name}"
+    if HELP_SCENARIO in rest:
+        print_scenario_help(kind, prog)
+    brief = brief_scenario(prog) if any(word in HELP for word in rest) else None
+    command: CommandOptions = tyro.cli(kind, prog=prog, args=[*rest, *ahead], registry=brief)
+    if command.quiet and command.verbose:
+        raise ParameterError("quiet", True, "contradicts --verbose: leave one of them out")
+    command.check_words([*rest, *ahead])
+    return command
+
+
+def print_completion(words: Sequence[str]) -> None:
+    """Print or write the completion script that tyro makes of all commands, and exit."""
+    every = {name: command.load() for name, command in COMMANDS.items()}
+    tyro.extras.subcommand_cli_from_dict(every, prog="shake", args=list(words))
+
+
+def print_scenario_help(kind: type[Any], prog: str) -> None:
+    """Print what changes the scenario of a command, and exit."""
+    prefix = scenario_prefix(kind)
+    if prefix is None:
+        raise ParameterError(HELP_SCENARIO.lstrip("-"), prog, "has no scenario options")
+    about = f"Options of {prog} that say what the scenario is, and what to change about it."
+    if prefix:
+        about += f" Write each as --{prefix}NAME, such as --{prefix}stories 5."
+    tyro.cli(ScenarioOptions, prog=prog, description=about, args=["--help"])
+
+
+def scenario_prefix(kind: type[Any]) -> str | None:
+    """Return what stands ahead of the name of a command's scenario options; None: it has none."""
+    names = getattr(kind, "__dataclass_fields__", {})
+    if "scenario" in names:
+        return ""
+    return "config.scenario." if "config" in names else None
+
+
+def brief_scenario(prog: str) -> ConstructorRegistry:
+    """Return a registry by which help shows one scenario option, and how to find the others."""
+    registry = ConstructorRegistry()
+    others = len(fields(ScenarioOptions)) - 2  # without the scenario itself, and what no option sets
+
+    @registry.struct_rule
+    def rule(info: StructTypeInfo) -> StructConstructorSpec | None:
+        if info.type is not ScenarioOptions:
+            return None
+        text = f"{SCENARIO_HELP} {others} more options change it: {prog} {HELP_SCENARIO} lists them."
+        shown = StructFieldSpec("scenario", str, ScenarioOptions.scenario, helptext=text)
+        return StructConstructorSpec(ScenarioOptions, (shown,))
+
+    return registry

@@ -1,0 +1,127 @@
+"""The command ``shake compare``."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+
+from agents.cli.command_options import FolderOptions
+from agents.cli.output_path import output_folder
+from agents.motions.channels import MotionOptions, motion_earthquakes
+from agents.progress import progress_bar
+from agents.scenario_options import ScenarioOptions
+from baselines.tuned_values import read_tuned
+from shake_env.errors import ParameterError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compare(FolderOptions):
+    """Run controllers on the same earthquakes and set their errors side by side.
+
+    Try:
+      shake compare
+      shake compare --stories 5 --mass-ratio 0.2 --controllers lqr none
+      shake compare --controllers lqr policy runs/mine --noise 100 --output out/mine
+      shake compare --motion CICLC.v1 --noise 0 --no-records
+      shake compare --report out/report
+      shake compare --json > comparison.json
+    """
+
+    scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
+    controllers: tuple[str, ...] = ("none", "policy", "analytic", "off-policy")
+    """Names of classical controllers, all (every one that suits the scenario), policy, analytic
+    and off-policy (those that ship), paths of policy files and run directories, or module:Class and
+    file.py:Class for one of one's own. The reference (LQR, or LQG where signals are measured) always
+    runs."""
+    tuned: Path | None = None
+    """File of tuned values that shake tune --keep wrote, for a scenario that nothing was tuned on."""
+    noise: int = 32
+    """Number of filtered-noise earthquakes."""
+    records: bool = True
+    """Whether the six embedded records are among the earthquakes."""
+    seed: int = 2_000_000
+    """First seed of the filtered noise."""
+    motion: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
+    """File of recorded motion, each channel an earthquake; may be given again for further files."""
+    scale: bool = True
+    """Whether their amplitude is brought within the table, as `shake motion` reports it."""
+    motion_options: Annotated[MotionOptions, tyro.conf.arg(name="motion")] = field(
+        default_factory=MotionOptions
+    )
+    supervised: bool = False
+    """Whether a supervisor keeps every controller within the scenario's hard limits."""
+    report: Path | None = None
+    """Folder for a report: one page to open in a browser, and its figures as SVG and PNG."""
+    robustness: Path | None = None
+    """Result of shake robustness on the same scenario, such as docs/results/robustness_linear.json: the
+    report shows it."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Compare, print, write."""
+        from agents.evaluation.compare import compare
+        from agents.reporting.comparison_tables import print_tables, write_files
+        from agents.reporting.report import Gathered, make_report
+        from agents.reporting.report_page import write_report
+        from agents.reporting.robustness_tables import read_robustness
+        from shake_env.rollout import recorded_earthquakes
+
+        if self.noise < 0:
+            raise ParameterError("noise", self.noise, "must be at least 0")
+        scenario = self.scenario.build()
+        folder = self.results_folder("compare")
+        if self.report is not None:
+            output_folder(self.report, self.report, force=self.force, field="report")
+        gathered = None if self.report is None else Gathered(scenario)
+        unlike = None if self.robustness is None else read_robustness(self.robustness, scenario.name)
+        if unlike is not None and gathered is None:
+            raise ParameterError(
+                "robustness", str(self.robustness), "is shown in a report: give --report"
+            )
+        motions = motion_earthquakes(
+            self.motion, self.motion_options, scenario, scale=self.scale, console=console
+        )
+        for quake in recorded_earthquakes(scenario) if self.records else ():
+            if quake.motion.amplitude != 1.0:  # scaled to the table, or by the scenario
+                console.print(f"record {quake.name}: amplitude x {quake.motion.amplitude:.4g}")
+        with progress_bar() as progress:
+            tasks: dict[str, Any] = {}
+
+            def on_progress(name: str, share: float) -> None:
+                if name not in tasks:
+                    tasks[name] = progress.add_task(name, total=1.0)
+                progress.update(tasks[name], completed=share)
+
+            result = compare(
+                scenario,
+                self.controllers,
+                noise=self.noise,
+                records=self.records,
+                seed=self.seed,
+                motions=motions,
+                supervised=self.supervised,
+                tuned=None if self.tuned is None else read_tuned(self.tuned),
+                on_progress=on_progress,
+                **({} if gathered is None else {"on_histories": gathered}),
+            )
+        settings = _plain(asdict(self))
+        print_tables(result, console)
+        if folder is not None:
+            for path in write_files(result, settings, folder):
+                console.print(f"wrote {path}")
+        if gathered is not None and self.report is not None:
+            command = shlex.join(["shake", *sys.argv[1:]])
+            written = write_report(make_report(result, gathered, command, unlike), self.report)
+            console.print(f"wrote {written[0]} and {len(written) - 1} figures: open it in a browser")
+        return result.to_json(settings)
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    plain: dict[str, Any] = json.loads(json.dumps(values, default=str))
+    return plain

@@ -1,0 +1,82 @@
+"""The command ``shake design``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+
+from agents.cli.command_options import CommandOptions
+from agents.evaluation.design import PROBLEM
+from agents.policies.controller_set import describe_values
+from agents.reporting.terminal import print_table
+from agents.scenario_options import ScenarioOptions
+from baselines.tuned_values import read_tuned
+from shake_env.scenario.scenario import Scenario
+
+
+@dataclass(frozen=True, kw_only=True)
+class Design(CommandOptions):
+    """Print the fidelity to expect of a scenario's controller, and the LQR of its table and specimen.
+
+    What theory gives exactly is calculated: the linear table with its full state. Else the scenario's
+    reference (LQG where signals are measured) is simulated, and the full-state LQR is named as a bound.
+
+    Try:
+      shake design
+      shake design --scenario laboratory
+      shake design --stories 4 --mass-ratio 0.3 --control-rate 200 --json
+      shake design --acceleration-weight 1 --force-weight 0
+    """
+
+    scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
+    earthquakes: int = 16
+    """Number of earthquakes where the fidelity has to be simulated."""
+    tuned: Path | None = None
+    """File of tuned values that shake tune --keep wrote, for a scenario that nothing was tuned on."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Design and print."""
+        from agents.evaluation.design import design
+
+        scenario = self.scenario.build()
+        tuned = None if self.tuned is None else read_tuned(self.tuned)
+        found = design(scenario, self.earthquakes, tuned, Console(stderr=True).print)
+        print_design(found, scenario, console)
+        return found
+
+
+def print_design(result: dict[str, Any], scenario: Scenario, console: Console) -> None:
+    """Print a design for a person."""
+    frequencies = ", ".join(f"{f:.3f}" for f in result["natural_frequencies"])
+    console.print(
+        f"{scenario.name}: {scenario.specimen.stories} storeys, controlled at "
+        f"{scenario.control_rate:g} Hz; natural frequencies [Hz] {frequencies}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    number = result["earthquakes"]
+    how = "by analysis" if number is None else f"simulated, mean of {number} earthquakes"
+    _print_figures(f"Expected of {result['controller']}, {how}:", result, console)
+    if result["broken_limits"]:
+        console.print(f"  ended by a broken limit           {result['broken_limits']} of {number}")
+    if number is not None:
+        heading = f"Bound: full-state {result['bound']['controller']} ({PROBLEM}), by analysis:"
+        _print_figures(heading, result["bound"], console)
+        console.print(describe_values(result["values"]), highlight=False, soft_wrap=True)
+    rows = [(name, f"{gain:.6g}") for name, gain in zip(result["states"], result["gain"], strict=True)]
+    title = "gain of the full-state LQR: u = -sum of gain x state"
+    print_table(console, ("state", "gain [A per unit]"), rows, title=title)
+
+
+def _print_figures(heading: str, figures: dict[str, Any], console: Console) -> None:
+    console.print(heading, highlight=False, soft_wrap=True)
+    if "cost" in figures:
+        console.print(f"  expected stage cost               {figures['cost']:.6g}")
+    console.print(f"  acceleration error, rms / target  {100 * figures['acceleration_rms_ratio']:.2f} %")
+    console.print(f"  base-shear error, rms / target    {100 * figures['base_shear_rms_ratio']:.2f} %")
+    if figures["current_rms"] is not None:
+        console.print(f"  valve current, rms                {1e3 * figures['current_rms']:.2f} mA")

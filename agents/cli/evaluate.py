@@ -1,0 +1,86 @@
+"""The command ``shake evaluate``."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+
+from agents.cli.command_options import CommandOptions
+from agents.cli.output_path import output_file
+from agents.progress import progress_bar
+from agents.reporting.terminal import print_markdown
+from agents.scenario_options import ScenarioOptions, given_options
+from baselines.tuned_values import read_tuned
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate(CommandOptions):
+    """Put policies and controllers through the protocol of docs/protocol.md, on test earthquakes.
+
+    Try:
+      shake evaluate runs/mine
+      shake evaluate ppo=runs/ppo-0,runs/ppo-1,runs/ppo-2 lqr none --output out/linear.json
+      shake evaluate runs/campaign/laboratory/analytic lqg-accommodating --scenario laboratory
+      shake evaluate policy analytic --earthquakes 1000 --json
+    """
+
+    entries: tyro.conf.Positional[tuple[str, ...]]
+    """Names of controllers, policy files, run directories, or folders of run directories (its seeds as
+    one row); NAME=PATH,PATH names a row and puts several paths into it; module:Class or file.py:Class
+    is a controller of one's own."""
+    scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
+    earthquakes: int = 200
+    """Number of test earthquakes, each with its own specimen where the scenario draws one; `records` has
+    its six."""
+    tuned: Path | None = None
+    """File of tuned values that shake tune --keep wrote, for a scenario that nothing was tuned on."""
+    fidelity: bool = True
+    """Whether response spectrum, drift and energy are compared, too."""
+    output: Path | None = None
+    """JSON file of the result, replaced if it is there (default: the next free one of
+    out/evaluate/SCENARIO.json, SCENARIO-2.json, ...; with --json: none)."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Evaluate, print, write."""
+        from agents.evaluation.protocol import contestant, evaluate
+        from agents.evaluation.result_files import write_result
+        from agents.policies.controller_set import describe_values, require_names
+        from agents.reporting.evaluation_tables import markdown
+
+        require_names(self.entries)
+        scenario = self.scenario.build()
+        tuned = None if self.tuned is None else read_tuned(self.tuned)
+        file = None
+        if self.output is not None or not self.json:
+            file = output_file(self.output, Path("out/evaluate") / f"{scenario.name}.json")
+        with progress_bar() as progress:
+            tasks: dict[str, Any] = {}
+
+            def on_progress(name: str, share: float) -> None:
+                if name not in tasks:
+                    tasks[name] = progress.add_task(name, total=1.0)
+                progress.update(tasks[name], completed=share)
+
+            result = evaluate(
+                scenario,
+                [contestant(text, scenario) for text in self.entries],
+                earthquakes=self.earthquakes,
+                repeats=self.fidelity,
+                tuned=tuned,
+                on_progress=on_progress,
+            )
+        given: dict[str, Any] = json.loads(json.dumps(self.scenario.__dict__))
+        result["scenario_options"] = given_options(given)
+        print_markdown(console, markdown(result))
+        for note in (describe_values(result["values"]), *result["warnings"]):
+            if note:
+                console.print(note, highlight=False, soft_wrap=True)
+        if file is not None:
+            write_result(result, file)
+            console.print(f"wrote {file}")
+        return result

@@ -1,0 +1,93 @@
+"""The command ``shake list``: every name that other commands take, with a line on each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import tyro
+from rich.console import Console
+
+from agents.cli.command_options import CommandOptions
+from agents.reporting.terminal import print_table
+
+Kind = Literal["scenarios", "controllers", "policies", "records"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class List(CommandOptions):
+    """List the names of scenarios, controllers, policies and records, with a line on each.
+
+    Try:
+      shake list
+      shake list controllers
+      shake list records --json
+    """
+
+    kinds: tyro.conf.Positional[tuple[Kind, ...]] = ()
+    """What to list (default: all four)."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Print a table a kind."""
+        result = {}
+        for kind in self.kinds or tuple(LISTED):
+            names = result[kind] = LISTED[kind]()
+            print_table(console, (kind, ""), [*names.items()], left=(1,), fold=1)
+            if not console.is_terminal:
+                console.print()
+        return result
+
+
+def scenarios() -> dict[str, str]:
+    """Return the named scenarios, and what each is."""
+    from shake_env.scenario.presets import NAMED
+
+    return {name: _first_sentence(make.__doc__) for name, make in NAMED.items()}
+
+
+def controllers() -> dict[str, str]:
+    """Return the classical controllers, and what each is."""
+    from baselines.catalogue import BASELINES
+
+    return {name: baseline.summary for name, baseline in BASELINES.items()}
+
+
+def policies() -> dict[str, str]:
+    """Return the families of policies that ship, and the scenarios and algorithms of their files."""
+    from agents.policies.registry import SHIPPED, shipped_policy
+    from shake_env import SCENARIO_NAMES
+
+    found = {}
+    for family in SHIPPED:
+        files = dict.fromkeys(shipped_policy(family, name).stem for name in SCENARIO_NAMES)
+        found[family] = f"learned; as the scenario has it: {', '.join(files)}"
+    return found
+
+
+def records() -> dict[str, str]:
+    """Return the embedded records, with their peak, length and source."""
+    from shake_env import RECORD_NAMES, load_record
+
+    found = {}
+    for name in RECORD_NAMES:
+        record = load_record(name)
+        source = dict(record.attribution)
+        peak = float(abs(record.acceleration).max())
+        origin = ", ".join(source[key] for key in ("event", "station") if key in source)
+        found[name] = f"{peak:.3g} m/s² peak, {record.duration:.0f} s; {origin}"
+    return found
+
+
+LISTED: dict[Kind, Callable[[], dict[str, str]]] = {
+    "scenarios": scenarios,
+    "controllers": controllers,
+    "policies": policies,
+    "records": records,
+}
+
+
+def _first_sentence(text: str | None) -> str:
+    sentence = (text or "").strip().partition("\n\n")[0].partition(".")[0]
+    sentence = " ".join(sentence.removeprefix("Return ").split())
+    return sentence[:1].upper() + sentence[1:] + "."

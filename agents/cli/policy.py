@@ -1,0 +1,101 @@
+"""The commands ``shake export`` and ``shake card``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.console import Console
+
+from agents.cli.command_options import CommandOptions
+from agents.cli.output_path import require_writable_file
+from shake_env.errors import ParameterError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export(CommandOptions):
+    """Write a policy as ONNX, for runtimes other than numpy.
+
+    Try:
+      shake export runs/mine policy.onnx
+      shake export policy.safetensors policy.onnx
+      shake export analytic linear.onnx
+    """
+
+    policy: tyro.conf.Positional[str]
+    """Run directory, policy file, or the name of a policy that ships (policy, analytic, off-policy)."""
+    output: tyro.conf.Positional[Path]
+    """File to write, *.onnx."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Write, and say what the graph takes and gives."""
+        from agents.policies.onnx_export import export_onnx
+        from agents.policies.policy_file import load_policy
+        from agents.policies.registry import file_of
+
+        if self.output.suffix != ".onnx":
+            raise ParameterError("output", str(self.output), "must end in .onnx")
+        policy = load_policy(file_of(self.policy))
+        require_writable_file(self.output, "output")
+        export_onnx(policy, self.output)
+        states = 0 if policy.memory is None else policy.memory.arrays
+        console.print(
+            f"wrote {self.output}: observation (N, {policy.observation_size}) to action (N, 1)"
+        )
+        if policy.memory is not None:
+            console.print(
+                f"state: {states} inputs and outputs (N, {policy.memory.units}), zeros at first"
+            )
+        return {
+            "output": str(self.output),
+            "observation_size": policy.observation_size,
+            "states": states,
+            "units": 0 if policy.memory is None else policy.memory.units,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Card(CommandOptions):
+    """Write a policy's card: how it was made, its learning curve, its evaluation, its limits of use.
+
+    Where docs/results has a robustness result of its scenario that holds the policy, the card says where
+    the policy loses tests and where a classical controller costs less.
+
+    Try:
+      shake card runs/mine
+      shake card agents/pretrained/linear-ppo.safetensors --result docs/results/evaluation_linear.json
+    """
+
+    policy: tyro.conf.Positional[Path]
+    """Run directory or policy file; the card comes to stand beside the file, as *.md and *.png."""
+    result: tuple[Path, ...] = ()
+    """Result files of shake evaluate that hold a row made of this policy."""
+    robustness: Path | None = None
+    """Result file of shake robustness (default: docs/results/robustness_SCENARIO.json, if it holds this
+    policy)."""
+    limits: str = ""
+    """Further sentences on limits of use."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Write the card."""
+        from agents.policies.registry import file_of
+        from agents.reporting.model_card import write_card
+
+        policy = file_of(str(self.policy))
+        robustness = self.robustness or _known_robustness(policy)
+        files = write_card(policy, self.result, self.limits, robustness)
+        for file in files:
+            console.print(f"wrote {file}")
+        return {"files": [str(file) for file in files]}
+
+
+def _known_robustness(policy: Path) -> Path | None:
+    from agents.policies.policy_file import digest, load_policy
+    from agents.reporting.model_card import robustness_of
+    from agents.reporting.robustness_tables import PREFIX
+
+    trained = load_policy(policy).card.get("config", {}).get("scenario", {}).get("scenario", "linear")
+    file = Path("docs/results") / f"{PREFIX}{trained}.json"
+    return file if file.is_file() and robustness_of(file, digest(policy)) else None

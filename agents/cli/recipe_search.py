@@ -1,0 +1,142 @@
+"""The command ``shake recipe-search``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tyro
+from rich.console import Console
+from rich.progress import TextColumn
+
+from agents.cli.command_options import CommandOptions
+from agents.cli.output_path import require_writable, require_writable_file
+from agents.progress import display, progress_bar
+from shake_env.errors import ParameterError
+
+if TYPE_CHECKING:  # the rest of the command line starts without torch
+    from agents.experiments.search import Search, Standing
+    from agents.experiments.search_trace import Trace
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchRecipe(CommandOptions):
+    """Search the values of a campaign's recipe by short trainings; goes on where it stopped.
+
+    Try:
+      shake recipe-search linear/ppo --minutes 60
+      shake recipe-search laboratory/analytic --share 0.5 --trials 30
+      shake recipe-search linear/ppo --trials 0 --keep docs/results/recipe_linear_ppo.json
+      shake recipe-search linear/ppo --trials 0 --page docs/training.md
+    """
+
+    recipe: tyro.conf.Positional[str]
+    """ARENA/ALGORITHM, as shake campaign --dry-run lists them; its own values are the first trial."""
+    share: float = 0.3
+    """Share of the recipe's steps that a trial trains for."""
+    trials: int = 40
+    """Trials in all, those of before counted; 0: only --keep and --page."""
+    minutes: float | None = None
+    """Wall time to search for (unset: no bound); the trial it ends in goes on another time."""
+    seed: int = 0
+    """Seed of the search; every trial trains with the same seed."""
+    earthquakes: int = 64
+    """Validation earthquakes that a trial is judged on."""
+    storage: Path = Path("runs/recipes.db")
+    """SQLite file with the trace of every search; a search in it is gone on with."""
+    folder: Path = Path("runs/recipe-search")
+    """Where the trials' runs lie."""
+    keep: Path | None = None
+    """JSON file for the trace, such as docs/results/recipe_linear_ppo.json."""
+    page: Path | None = None
+    """Markdown page whose searches, tables and figures, are renewed from all kept traces."""
+    results: Path = Path("docs/results")
+    """Folder of the kept traces that the page is made of."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Search with a progress bar, print what was found, keep it."""
+        from agents.experiments.search import Search, find_recipe
+        from agents.experiments.search_trace import write_trace
+
+        if self.keep is not None and self.keep.suffix != ".json":
+            remedy = "must be a JSON file, such as docs/results/recipe_linear_ppo.json"
+            raise ParameterError("keep", str(self.keep), remedy)
+        if self.keep is not None:
+            require_writable_file(self.keep, "keep")
+        require_writable_file(self.storage, "storage")
+        require_writable(self.folder, "folder")
+        search = Search(
+            recipe=find_recipe(self.recipe),
+            share=self.share,
+            seed=self.seed,
+            earthquakes=self.earthquakes,
+        )
+        try:
+            trace = self._search(search)
+        except KeyboardInterrupt:
+            display.note("the same command goes on with this trial")
+            raise
+        _print(trace, console)
+        if self.keep is not None:
+            write_trace(trace, self.keep)
+            console.print(f"wrote {self.keep}")
+        if self.page is not None:
+            self._renew(self.page, console)
+        return trace.to_json()
+
+    def _search(self, search: Search) -> Trace:
+        from agents.experiments.search import search_recipe
+
+        with progress_bar(TextColumn("{task.fields[note]}")) as progress:
+            whole = progress.add_task(search.recipe.name, total=max(1, self.trials), note="")
+            one = progress.add_task("trial", total=1.0, note="")
+
+            def on_update(now: Standing) -> None:
+                told = now.progress
+                share = told.steps / told.total_steps if told else 1.0
+                ratio = "" if told is None or told.cost_ratio is None else f"{told.cost_ratio:.4f}"
+                note = f"{now.done} of {now.total} trials"
+                if now.best is not None:
+                    note += f", best {now.best:.4f}"
+                if now.seconds_left is not None:
+                    note += f", {math.ceil(now.seconds_left / 60.0)} min left"
+                done = now.done + (share if told else 0.0)
+                progress.update(whole, completed=done, note=note)
+                progress.update(one, completed=share, description=f"trial {now.trial}", note=ratio)
+
+            return search_recipe(
+                search,
+                self.storage,
+                self.folder,
+                trials=self.trials,
+                minutes=self.minutes,
+                on_update=on_update,
+            )
+
+    def _renew(self, page: Path, console: Console) -> None:
+        from agents.experiments.search_figure import search_figure
+        from agents.experiments.search_trace import put_searches, read_traces
+
+        traces = read_traces(self.results)
+        put_searches(page, traces)
+        for trace in traces:
+            if trace.judged:
+                console.print(f"wrote {search_figure(trace, page.parent / 'figures')}")
+        console.print(f"wrote {page}: {', '.join(t.recipe for t in traces) or 'no search'}")
+
+
+def _print(trace: Trace, console: Console) -> None:
+    states = [row.state for row in trace.trials]
+    counts = ", ".join(f"{states.count(state)} {state}" for state in sorted(set(states)))
+    console.print(f"{trace.recipe}: {len(states)} trials ({counts or 'none'}) of {trace.steps:,} steps")
+    for name, row in (("the recipe", trace.start), ("best", trace.best)):
+        if row is not None:
+            console.print(
+                f"{name}, trial {row.number}: {row.cost:.4f} [{row.low:.4f}, {row.high:.4f}] of "
+                f"{trace.reference}'s cost, {row.lost} of {trace.earthquakes} tables lost"
+            )
+    if trace.best is not None:
+        for name, value in trace.best.values.items():
+            console.print(f"  {name} = {value} (recipe: {trace.own[name]})", highlight=False)

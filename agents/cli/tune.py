@@ -1,0 +1,101 @@
+"""The command ``shake tune``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+
+from agents.cli.command_options import CommandOptions
+from agents.cli.output_path import require_writable_file
+from agents.progress import progress_bar
+from agents.scenario_options import ScenarioOptions
+from baselines.catalogue import BASELINES
+from shake_env.errors import NumericalError, ParameterError, ScenarioError
+from shake_env.scenario.scenario import Scenario
+
+ALL = "all"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tune(CommandOptions):
+    """Search a controller's free parameters on validation earthquakes; goes on where it stopped.
+
+    Try:
+      shake tune lqg --scenario laboratory
+      shake tune pid --scenario laboratory --budget 1000000
+      shake tune lqg --scenario laboratory --set actuator.table_mass=420 --keep mytable.json
+      shake compare --scenario laboratory --set actuator.table_mass=420 --tuned mytable.json
+      shake tune controllers.py:MyController --keep mine.json
+    """
+
+    controller: tyro.conf.Positional[str]
+    """Name of the controller, module:Class or file.py:Class for one of one's own, or all: every one that
+    has something to tune and suits the scenario."""
+    scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
+    budget: int = 4_000_000
+    """Control periods to simulate in all; what a policy is trained with by default."""
+    earthquakes: int = 16
+    """Validation earthquakes of a trial."""
+    seed: int = 0
+    """Seed of the search."""
+    storage: Path = Path("runs/tune.db")
+    """SQLite file with the trace of every search; a search in it is gone on with."""
+    keep: Path | None = None
+    """JSON file to put the result in; compare, bench, evaluate and robustness take it by --tuned. The
+    result belongs to this very scenario, told by a digest of all that it is but its name."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Search with a progress bar, and print what was found."""
+        scenario = self.scenario.build()
+        from agents.experiments.controller_tuning import kept_values
+
+        if self.keep is not None:
+            require_writable_file(self.keep, "keep")
+        require_writable_file(self.storage, "storage")
+        kept_values(self.keep)  # says before the search if it is another kind of file
+        if self.controller != ALL:
+            return self._tune(self.controller, scenario, console)
+
+        found = {}
+        for name in BASELINES:
+            try:
+                found[name] = self._tune(name, scenario, console)
+            except (ParameterError, ScenarioError, NumericalError) as error:
+                found[name] = {"left_out": str(error)}
+                console.print(f"[dim]{name} left out: {error}[/]")
+        return found
+
+    def _tune(self, name: str, scenario: Scenario, console: Console) -> dict[str, Any]:
+        from agents.experiments.controller_tuning import keep, kept_values, tune
+
+        with progress_bar() as progress:
+            task = progress.add_task(f"tuning {name}", total=None)
+
+            def on_trial(done: int, total: int, best: float) -> None:
+                description = f"tuning {name}, best cost {best:.4g}"
+                progress.update(task, completed=done, total=total, description=description)
+
+            found = tune(
+                name,
+                scenario,
+                self.storage,
+                budget=self.budget,
+                earthquakes=self.earthquakes,
+                seed=self.seed,
+                tuned=kept_values(self.keep),
+                on_trial=on_trial,
+            )
+        console.print(
+            f"{found.controller} on {found.scenario}: cost {found.cost:.4g} after {found.trials} "
+            f"trials, {found.default_cost:.4g} by default"
+        )
+        for parameter, value in found.parameters.items():
+            console.print(f"  {parameter} = {value:.6g}")
+        if self.keep is not None:
+            keep(found, self.keep)
+            console.print(f"wrote {self.keep}")
+        return found.to_json()

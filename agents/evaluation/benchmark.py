@@ -1,0 +1,168 @@
+"""The classical bench: every controller on every named scenario, as files and tables in the docs."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, fields
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import shake_env
+from agents.evaluation.compare import compare
+from agents.evaluation.results import Comparison, GroupSummary, plain_row
+from agents.policies.controller_set import ALL, CLAIRVOYANT, values_to_json
+from agents.run_directory import described, read_json
+from baselines.registry import reference_name
+from baselines.tuned_values import TunedValues
+from shake_env import make_scenario
+from shake_env.errors import FileError, ParameterError
+from shake_env.model.parameters import is_number
+
+TEST_SEED = 4_000_000  # neither training's, evaluation's, validation's nor `shake compare`'s
+SCENARIOS = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
+CONTROLLERS = (CLAIRVOYANT, ALL)
+
+
+def bench(
+    scenario_name: str,
+    earthquakes: int,
+    names: Sequence[str] = CONTROLLERS,
+    tuned: TunedValues | None = None,
+    on_progress: Callable[[str, float], None] = lambda controller, share: None,
+) -> dict[str, Any]:
+    """Return the result of all controllers on test earthquakes of a scenario, as plain JSON values.
+
+    Parameters
+    ----------
+    scenario_name
+        A named scenario.
+    earthquakes
+        Number of filtered-noise earthquakes; `records` are run on the six records instead.
+    names
+        As for `compare`.
+    tuned
+        Tuned values of a file that was named; see `baselines.registry.parameter_values`.
+    on_progress
+        Told the controller that runs and its share done, 0 to 1.
+    """
+    if earthquakes < 2:
+        raise ParameterError("earthquakes", earthquakes, "an interval needs at least 2")
+    scenario = make_scenario(scenario_name)
+    recorded = scenario_name == "records"
+    found = compare(
+        scenario,
+        names,
+        noise=0 if recorded else earthquakes,
+        records=recorded,
+        seed=TEST_SEED,
+        tuned=tuned,
+        on_progress=on_progress,
+    )
+    return {
+        "scenario": scenario_name,
+        "version": shake_env.__version__,
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+        "seed": None if recorded else TEST_SEED,
+        "reference": reference_name(scenario),
+        "controllers": list(names),
+        "skipped": found.skipped,
+        "warnings": found.warnings,
+        "values": values_to_json(found.values),
+        "rows": [plain_row(asdict(row)) for row in ranked(found)],
+    }
+
+
+def ranked(found: Comparison) -> list[GroupSummary]:
+    """Return the summaries by cost, the clairvoyant first and no control last."""
+    ends = {CLAIRVOYANT: -1, "none": 1}
+    return sorted(found.summaries, key=lambda row: (ends.get(row.controller, 0), row.relative_cost))
+
+
+def result_file(folder: Path, scenario_name: str) -> Path:
+    """Return the file of a scenario's result."""
+    return folder / f"bench_{scenario_name}.json"
+
+
+def read_result(file: Path) -> dict[str, Any]:
+    """Return the result that a file holds.
+
+    Raises
+    ------
+    FileError
+        If it is missing, not complete or no result of :func:`bench`.
+    """
+    result = read_json(file)
+    lacks = [key for key in _KEYS if key not in result]
+    rows = result.get("rows")
+    if not lacks and not (isinstance(rows, list) and rows and all(isinstance(r, dict) for r in rows)):
+        lacks = ["rows"]
+    for row in () if lacks else rows:
+        lacks += [f"rows.{f.name}" for f in fields(GroupSummary) if not _fits(row, f.name)]
+    if lacks:
+        parts = described(dict.fromkeys(lacks))
+        remedy = f"is no complete result of shake bench (see {parts}): run it with --again"
+        raise FileError("file", str(file), remedy)
+    return result
+
+
+_KEYS = ("scenario", "version", "machine", "seed", "reference", "skipped", "rows")
+_WORDS = ("controller", "group")
+# What is not defined for some controllers: a lag of a still table, a decision made beforehand.
+_OPTIONAL = (
+    "delay", "spectral_error", "arias_ratio", "drift_ratio", "energy_ratio", "decision_time", "damage",
+)  # fmt: skip
+
+
+def _fits(row: dict[str, Any], name: str) -> bool:
+    value = row.get(name, row)
+    if value is None:
+        return name in _OPTIONAL
+    return isinstance(value, str) if name in _WORDS else is_number(value)
+
+
+def read_results(folder: str | PathLike[str]) -> list[dict[str, Any]]:
+    """Return the results that a folder holds, in the order of `SCENARIOS`.
+
+    Raises
+    ------
+    FileError
+        If one is not complete.
+    """
+    folder = Path(folder)
+    files = [result_file(folder, name) for name in SCENARIOS]
+    return [read_result(file) for file in files if file.exists()]
+
+
+def difference(
+    known: dict[str, Any], scenario_name: str, asked: int, names: Sequence[str], tuned: Path | None
+) -> str:
+    """Return in what a result differs from what is asked for, in words; empty: in nothing.
+
+    Parameters
+    ----------
+    known
+        A result of `bench`.
+    scenario_name
+        The scenario that is asked for.
+    asked
+        Number of earthquakes.
+    names
+        Of the controllers.
+    tuned
+        File of tuned values that is named.
+    """
+    number = known["rows"][0]["earthquakes"]
+    if known["scenario"] != scenario_name:
+        return f"is of {known['scenario']}, not {scenario_name}"
+    if known["seed"] is not None and number != asked:
+        return f"was made with {number} earthquakes, not {asked}"
+    before = known.get("controllers", list(CONTROLLERS))
+    if before != list(names):
+        return f"was made with the controllers {' '.join(before)}, not {' '.join(names)}"
+    sources = {each["source"] for each in known.get("values", {}).values()}
+    if tuned is not None or "file" in sources:
+        return "was made with other tuned values, or with values that may have changed"
+    return ""

@@ -1,0 +1,201 @@
+"""Controllers on the same earthquakes: figures with intervals, as data. Printing is `compare_output`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.evaluation.fidelity import Fidelity, fidelity
+from agents.policies.controller_set import (
+    CLAIRVOYANT,
+    named_controllers,
+    require_names,
+)
+from baselines.catalogue import BASELINES
+from baselines.iterative.drive_file import DriveFile
+from baselines.lqr.oracle import clairvoyant
+from baselines.tuned_values import TunedValues
+from shake_env.errors import ParameterError
+from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
+from shake_env.safety.supervisor import Supervised
+from shake_env.scenario.scenario import Scenario
+from shake_env.simulation.metrics import EpisodeMetrics
+from shake_env.simulation.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    pass
+from agents.evaluation.bootstrap import _interval, _mean, _ratio
+from agents.evaluation.latency import decision_time
+from agents.evaluation.results import Comparison, GroupSummary
+
+FIGURES = (
+    "acceleration_rms_error",
+    "acceleration_peak_error",
+    "base_shear_rms_error",
+    "base_shear_peak_error",
+)
+PEAKS = ("peak_current", "peak_velocity", "peak_displacement")
+Histories = Sequence[tuple[Earthquake, Trajectory]]
+
+
+def compare(
+    scenario: Scenario,
+    names: Sequence[str],
+    *,
+    noise: int = 32,
+    records: bool = True,
+    seed: int = 2_000_000,
+    motions: Sequence[Earthquake] = (),
+    supervised: bool = False,
+    tuned: TunedValues | None = None,
+    on_progress: Callable[[str, float], None] = lambda controller, share: None,
+    on_histories: Callable[[str, Histories], None] = lambda controller, histories: None,
+) -> Comparison:
+    """Run every controller on the same earthquakes.
+
+    Parameters
+    ----------
+    scenario
+        What is driven.
+    names
+        See :func:`named_controllers`.
+    noise
+        Number of seeded filtered-noise earthquakes.
+    records
+        Whether the embedded records are among the earthquakes.
+    seed
+        First seed of the noise; far from those of training and its evaluation.
+    motions
+        Further earthquakes, a group of their own; the first of them is traced.
+    supervised
+        Whether a `Supervised` keeps every controller within the hard limits.
+    tuned
+        Tuned values of a file that was named; see `baselines.registry.parameter_values`.
+    on_progress
+        Told the controller that runs and its share done, 0 to 1.
+    on_histories
+        Shown each controller's (earthquake, trajectory) pairs when it has run. They are not kept: those
+        of all controllers would fill a machine's memory.
+
+    Raises
+    ------
+    ParameterError
+        If no earthquake is asked for, or no controller.
+    """
+    require_names(names)
+    recorded = recorded_earthquakes(scenario) if records else []
+    earthquakes = [*motions, *recorded, *noise_earthquakes(scenario, noise, seed)]
+    if not earthquakes:
+        raise ParameterError("noise", noise, "ask for at least one earthquake, or for the records")
+    noisy = len(motions) + len(recorded)
+    groups = {
+        "motions": range(len(motions)),
+        "records": range(len(motions), noisy),
+        "filtered noise": range(noisy, len(earthquakes)),
+    }
+    traced = _strongest(recorded) if recorded and not motions else 0
+    chosen = named_controllers(names, scenario, earthquakes, tuned)
+    controllers = dict(chosen.controllers)
+    reference = next(iter(controllers))
+    damage = {
+        name: each.damage
+        for name, each in controllers.items()
+        if isinstance(each, DriveFile) and each.damage is not None
+    }
+    driven = dict.fromkeys(controllers, scenario)
+    if CLAIRVOYANT in names:
+        driven[CLAIRVOYANT], controllers[CLAIRVOYANT] = clairvoyant(scenario, earthquakes)
+    episodes: dict[str, list[EpisodeMetrics]] = {}
+    fidelities: dict[str, list[Fidelity]] = {}
+    latency: dict[str, float] = {}
+    shares: dict[str, float] = {}
+    traces: dict[str, Trajectory] = {}
+    if supervised:
+        controllers = {name: Supervised(c, driven[name]) for name, c in controllers.items()}
+    for name, controller in controllers.items():
+
+        def told(share: float, name: str = name) -> None:
+            on_progress(name, share)
+
+        episodes[name], found = rollout(
+            controller, driven[name], earthquakes, record=range(len(earthquakes)), on_step=told
+        )
+        traces[name] = found[traced]
+        if isinstance(controller, Supervised):
+            shares[name] = controller.interventions().share
+        step, stories = scenario.physics_step, scenario.specimen.stories
+        on_histories(name, [(quake, found[i]) for i, quake in enumerate(earthquakes)])
+        fidelities[name] = [fidelity(found[i], step, stories) for i in range(len(earthquakes))]
+        # What is made for each lane's own earthquake or plant has no decision for one table to time.
+        own = name == CLAIRVOYANT or (name in BASELINES and BASELINES[name].repeats_tests)
+        latency[name] = float("nan") if own else decision_time(controller, scenario)
+    summaries = [
+        summarise(
+            name,
+            group,
+            [rows[i] for i in members],
+            [episodes[reference][i] for i in members],
+            [fidelities[name][i] for i in members],
+            latency[name],
+            BASELINES[name].tests if name in BASELINES else 1,
+            damage[name][list(members)] if name in damage else None,
+        )
+        for group, members in groups.items()
+        if len(members)
+        for name, rows in episodes.items()
+    ]
+    name = earthquakes[traced].name
+    of_each = [group for group, members in groups.items() for _ in members]
+    return Comparison(
+        summaries, episodes, fidelities, traces, reference, name, chosen.skipped, shares, of_each,
+        chosen.values, chosen.warnings,
+    )  # fmt: skip
+
+
+def _strongest(recorded: Sequence[Earthquake]) -> int:
+    names = [quake.name for quake in recorded]
+    strongest = "ridgecrest2019_clc_360"
+    return names.index(strongest) if strongest in names else 0
+
+
+def summarise(
+    name: str,
+    group: str,
+    rows: Sequence[EpisodeMetrics],
+    reference: Sequence[EpisodeMetrics],
+    repeated: Sequence[Fidelity],
+    latency: float,
+    tests: int = 1,
+    damage: NDArray[np.float64] | None = None,
+) -> GroupSummary:
+    """Return one controller's figures over a group, its cost relative to `reference`'s, paired.
+
+    `tests` of each earthquake, the one that counts included, and the `damage` (earthquakes,) of those
+    before it, are what a controller took that repeats its tests.
+    """
+    cost = np.asarray([row.cost for row in rows])
+    base = np.asarray([row.cost for row in reference])
+    low, high = _interval(cost, base)
+    means = {figure: float(np.mean([getattr(row, figure) for row in rows])) for figure in FIGURES}
+    measures = {each.name: _mean([getattr(f, each.name) for f in repeated]) for each in fields(Fidelity)}
+    peaks = {peak: float(np.max([getattr(row, peak) for row in rows])) for peak in PEAKS}
+    return GroupSummary(
+        controller=name,
+        group=group,
+        earthquakes=len(rows),
+        relative_cost=_ratio(cost, base),
+        relative_cost_low=low,
+        relative_cost_high=high,
+        mean_cost=float(cost.mean()),
+        broken_limits=sum(row.broken_limit is not None for row in rows),
+        decision_time=latency,
+        tests=tests,
+        damage=float("nan") if damage is None else float(np.median(damage)),
+        **measures,
+        **means,
+        **peaks,
+    )

@@ -1,0 +1,32 @@
+"""New."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from shake_env.controller import Controller
+from shake_env.scenario.scenario import Scenario
+from shake_env.simulation.simulation import Simulation
+
+if TYPE_CHECKING:
+    pass
+
+
+def decision_time(controller: Controller, scenario: Scenario, decisions: int = 200) -> float:
+    """Return the median processor time [s] of one decision for one table, in its episode.
+
+    Processor time, so that other work on the machine is not counted as the controller's.
+    """
+    simulation = Simulation(scenario, 1)
+    observation = simulation.start([0], [np.random.default_rng(0)])
+    memory, start, times = None, np.ones(1, dtype=bool), []
+    for _ in range(min(decisions, int(simulation.episode_steps[0]))):
+        began = time.process_time()
+        action, memory = controller.predict(observation[0], memory, start, deterministic=True)
+        times.append(time.process_time() - began)
+        start = np.zeros(1, dtype=bool)
+        observation = simulation.step(np.asarray(action, dtype=float)).observation
+    return float(np.median(times))

@@ -1,0 +1,365 @@
+"""The protocol of `docs/protocol.md`: policies and controllers on the same test earthquakes."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import shake_env
+from agents.evaluation.benchmark import TEST_SEED
+from agents.evaluation.fidelity import fidelity
+from agents.evaluation.latency import decision_time
+from agents.evaluation.results import plain_row
+from agents.evaluation.scores import Episodes, cost_figures, summary
+from agents.policies.controller_set import CLAIRVOYANT, values_to_json
+from agents.policies.own_controller import is_own_controller, own_baseline
+from agents.policies.policy_file import PolicyFile, digest, load_policy
+from agents.policies.registry import (
+    SHIPPED,
+    named_controller,
+    require_controller,
+    shipped_policy,
+    values_for,
+)
+from agents.policies.training_distance import training_warning
+from agents.provenance import code_version
+from agents.run_directory import BEST, POLICY, policy_of_run
+from baselines.catalogue import BASELINES
+from baselines.lqr.oracle import clairvoyant
+from baselines.lqr.preview import preview_lqr
+from baselines.lqr.sampled import sampled_lqr
+from baselines.registry import reference_name
+from baselines.searched_lqg import FOUND
+from baselines.tuned_values import TunedValues
+from shake_env.controller import Controller
+from shake_env.errors import ParameterError, PolicyFileError
+from shake_env.motion.targets import FilteredNoise
+from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
+from shake_env.scenario.digest import known_name
+from shake_env.scenario.scenario import Scenario
+
+FORMAT = "shake-evaluation-1"
+LANES = 64  # earthquakes side by side where figures are made of their trajectories, which need memory
+MANY_LANES = 512  # where they are not
+WITNESS = "none"  # whose costs tell whether table and earthquakes are what they were
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A row of a result: a classical controller, or the policies of some training seeds."""
+
+    name: str
+    policies: tuple[PolicyFile, ...] = ()  # one a seed; none: a classical controller of that name
+    sources: tuple[dict[str, Any], ...] = ()  # likewise: how each was made
+
+    @property
+    def runs(self) -> int:
+        """Number of rows that its table of episodes has."""
+        return max(1, len(self.policies))
+
+
+def contestant(text: str, scenario: Scenario) -> Contestant:
+    """Return what a word of the command line stands for.
+
+    Parameters
+    ----------
+    text
+        A classical controller's name, ``clairvoyant``, ``policy`` or ``analytic`` (those that ship),
+        ``module:Class`` or ``file.py:Class`` (`agents.policies.own_controller`), or ``PATH`` or
+        ``NAME=PATH,PATH...``: policy files, run directories and folders of run directories,
+        whose policies together are one row.
+    scenario
+        What a policy has to fit.
+
+    Raises
+    ------
+    ScenarioError
+        If it is none of these.
+    PolicyFileError
+        If a policy cannot be read or does not fit the scenario, or a folder holds none.
+    """
+    if text in BASELINES or text in (CLAIRVOYANT, *FOUND):
+        return Contestant(text)
+    if text in SHIPPED:
+        return _learned(text, [shipped_policy(text, known_name(scenario))], scenario)
+    if is_own_controller(text):
+        own_baseline(text)  # says at once if there is no such class
+        return Contestant(text)
+    name, separator, paths = text.rpartition("=")
+    if not separator:
+        require_controller(text, CLAIRVOYANT)
+    files = [file for path in paths.split(",") for file in policy_files(Path(path))]
+    return _learned(name or Path(paths.split(",")[0]).stem, files, scenario)
+
+
+def policy_files(path: str | PathLike[str]) -> list[Path]:
+    """Return the policy files that a path stands for: itself, its run's, or those of the runs in it.
+
+    Of an interrupted run that is named itself its best policy so far; of a folder of runs those of the
+    finished ones.
+
+    Raises
+    ------
+    PolicyFileError
+        If there are none.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        return [path]
+    if (own := policy_of_run(path)).exists():
+        return [own]
+    # Seed 10 comes after seed 9.
+    found = sorted(path.glob(f"*/{POLICY}"), key=lambda f: (len(f.parent.name), f.parent.name))
+    if not found:
+        raise PolicyFileError(
+            "entry", str(path), f"holds no {POLICY} or {BEST}, and no runs with a {POLICY}"
+        )
+    return found
+
+
+def _learned(name: str, files: Sequence[Path], scenario: Scenario) -> Contestant:
+    policies, sources = [], []
+    for file in files:
+        policy = load_policy(file)
+        policy.check(scenario)
+        config = policy.card.get("config", {})
+        policies.append(policy)
+        sources.append(
+            {
+                "seed": config.get("seed"),
+                "algorithm": config.get("algorithm"),
+                "scenario": config.get("scenario", {}).get("scenario"),
+                "command": policy.card.get("command"),
+                "version": policy.card.get("version"),
+                "code": policy.card.get("code"),
+                "sha256": digest(file),
+            }
+        )
+    return Contestant(name, tuple(policies), tuple(sources))
+
+
+def optimal_cost(scenario: Scenario) -> float | None:
+    """Return the analytic optimum J* of the stage cost, or None where there is none.
+
+    There is one for a linear plant that is known, fully seen and answers at once, with or without
+    preview, under a stationary motion and without a limited stroke. The reference is then optimal.
+    """
+    motion = scenario.motion
+    suits = (
+        scenario.sensing.full_state
+        and not scenario.delay
+        and not scenario.nonlinearity.active
+        and not scenario.uncertainty.active
+        and scenario.limits.table_displacement is None
+        and isinstance(motion, FilteredNoise)
+        and motion.envelope is None
+    )
+    if not suits:
+        return None
+    if preview := scenario.sensing.preview:
+        spacing = scenario.sensing.preview_spacing
+        cost = preview_lqr(scenario.discrete, scenario.stage_cost, preview, spacing).analytic_cost
+    else:
+        cost = sampled_lqr(scenario.discrete, scenario.stage_cost).analytic_cost
+    return cost * motion.amplitude**2
+
+
+def evaluate(
+    scenario: Scenario,
+    contestants: Sequence[Contestant],
+    *,
+    earthquakes: int = 200,
+    repeats: bool = True,
+    resamples: int = 2000,
+    known: dict[str, Any] | None = None,
+    tuned: TunedValues | None = None,
+    on_progress: Callable[[str, float], None] = lambda controller, share: None,
+) -> dict[str, Any]:
+    """Return the result of the protocol as plain JSON values.
+
+    Parameters
+    ----------
+    scenario
+        What is driven; `records` on its own motions, any other on filtered noise.
+    contestants
+        Rows of the result. Reference and yardstick are run in any case.
+    earthquakes
+        Number of test earthquakes; each draws its specimen and noise from a seed of its own.
+    repeats
+        Whether figures of fidelity (spectrum, drift, energy) are made, which takes longest.
+    resamples
+        Draws of the bootstrap.
+    known
+        A result of the same scenario and earthquakes: its rows that are not run now are taken over,
+        their costs held against reference and yardstick as those are now.
+    tuned
+        Tuned values of a file that was named; see `baselines.registry.parameter_values`.
+    on_progress
+        Told the controller that runs and its share done, 0 to 1.
+
+    Raises
+    ------
+    ParameterError
+        If fewer than two earthquakes are asked for, two rows have one name or one a controller's, or
+        the table that does nothing fares otherwise than in the `known` result.
+    """
+    if earthquakes < 2:
+        raise ParameterError("earthquakes", earthquakes, "an interval needs at least 2")
+    code = code_version()  # that runs, not that ends
+    recorded = known_name(scenario) == "records"
+    quakes = (
+        recorded_earthquakes(scenario)
+        if recorded
+        else noise_earthquakes(scenario, earthquakes, TEST_SEED)
+    )
+    reference, optimum = reference_name(scenario), optimal_cost(scenario)
+    yardstick = reference if optimum is not None else CLAIRVOYANT
+    for each in contestants:
+        if each.policies and each.name in (yardstick, reference, *BASELINES, *FOUND):
+            raise ParameterError(
+                "entry", each.name, "is a controller's name: call the policies by NAME=PATH"
+            )
+    given = {each.name: each for each in contestants}
+    if len(given) < len(contestants):
+        raise ParameterError(
+            "entries", [c.name for c in contestants], "two rows have one name: give others by NAME=PATH"
+        )
+    always = (yardstick, reference) if known is None else (yardstick, reference, WITNESS)
+    rows = {name: given.pop(name, Contestant(name)) for name in dict.fromkeys(always)} | given
+    values = {
+        name: found
+        for name, each in rows.items()
+        if not each.policies and (found := values_for(name, scenario, tuned)) is not None
+    }
+    warnings = [
+        f"{name} {text}"
+        for name, each in rows.items()
+        for text in dict.fromkeys(training_warning(policy, scenario) for policy in each.policies)
+        if text
+    ]
+    machine = f"{platform.machine()}, {os.cpu_count()} cores"
+    episodes, latency = {}, {}
+    for name, each in rows.items():
+
+        def told(share: float, name: str = name) -> None:
+            on_progress(name, share)
+
+        parameters = values[name].parameters if name in values else None
+        episodes[name] = _episodes(each, scenario, quakes, repeats, told, parameters)
+        latency[name] = _latency(each, scenario, parameters)
+    costs = (episodes[yardstick].cost, episodes[reference].cost)
+    summaries = [
+        summary(
+            name,
+            found,
+            yardstick=episodes[yardstick],
+            reference=episodes[reference],
+            optimum=optimum,
+            resamples=resamples,
+        )
+        | {
+            "decision_time": latency[name],
+            "sources": list(rows[name].sources),
+            "code": code,
+            "machine": machine,
+        }
+        for name, found in episodes.items()
+    ]
+    plain = {name: found.to_json() for name, found in episodes.items()}
+    if known is not None:
+        _check_same(plain[WITNESS], known["episodes"].get(WITNESS))
+        for row in known["rows"]:
+            if (name := row["controller"]) not in plain:
+                cost = np.array(known["episodes"][name]["cost"])
+                summaries.append(row | cost_figures(cost, *costs, optimum, resamples))
+        plain = known["episodes"] | plain
+    return {
+        "format": FORMAT,
+        "scenario": scenario.name,
+        "version": shake_env.__version__,
+        "code": code,
+        "machine": machine,
+        "seed": None if recorded else TEST_SEED,
+        "earthquakes": [quake.name for quake in quakes],
+        "reference": reference,
+        "yardstick": yardstick,
+        "optimal_cost": optimum,
+        "resamples": resamples,
+        "values": ({} if known is None else known.get("values", {})) | values_to_json(values),
+        "warnings": warnings,
+        "rows": summaries,
+        "episodes": plain,
+    }
+
+
+def _check_same(found: dict[str, Any], before: dict[str, Any] | None) -> None:
+    # Processors round differently, and 7 digits are written.
+    if before is None or not np.allclose(found["cost"], before["cost"], rtol=1e-5):
+        raise ParameterError(
+            "known", WITNESS, "fares otherwise now, so that no row holds: evaluate all anew (--again)"
+        )
+
+
+def _episodes(
+    each: Contestant,
+    scenario: Scenario,
+    quakes: Sequence[Earthquake],
+    repeats: bool,
+    told: Callable[[float], None],
+    parameters: Mapping[str, float] | None,
+) -> Episodes:
+    lanes = LANES if repeats else MANY_LANES
+    parts = [quakes[i : i + lanes] for i in range(0, len(quakes), lanes)]
+    work = each.runs * len(parts)
+    rows: list[list[dict[str, Any]]] = []
+    for run in range(each.runs):
+        rows.append([])
+        for number, part in enumerate(parts):
+            done = run * len(parts) + number
+
+            def share(part_done: float, done: int = done) -> None:
+                told((done + part_done) / work)
+
+            driven, controller = _controller(each, run, scenario, part, parameters)
+            record = range(len(part)) if repeats else ()
+            metrics, traces = rollout(controller, driven, part, record=record, on_step=share)
+            for lane, found in enumerate(metrics):
+                row = asdict(found)
+                if repeats:
+                    row |= asdict(
+                        fidelity(traces[lane], scenario.physics_step, scenario.specimen.stories)
+                    )
+                rows[-1].append(plain_row(row))
+    return Episodes.of(rows)
+
+
+def _controller(
+    each: Contestant,
+    run: int,
+    scenario: Scenario,
+    quakes: Sequence[Earthquake],
+    parameters: Mapping[str, float] | None,
+) -> tuple[Scenario, Controller]:
+    if each.policies:
+        return scenario, each.policies[run]
+    if each.name == CLAIRVOYANT:
+        return clairvoyant(scenario, quakes)
+    return scenario, named_controller(each.name, scenario, quakes, parameters)
+
+
+def _latency(
+    each: Contestant, scenario: Scenario, parameters: Mapping[str, float] | None
+) -> float | None:
+    """Return the median time [s] of one decision; None for what is made for its own earthquakes."""
+    if each.policies:
+        return decision_time(each.policies[0], scenario)
+    if each.name == CLAIRVOYANT or (each.name in BASELINES and BASELINES[each.name].repeats_tests):
+        return None
+    return decision_time(named_controller(each.name, scenario, None, parameters), scenario)

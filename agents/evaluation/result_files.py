@@ -1,0 +1,76 @@
+"""New."""
+
+from __future__ import annotations
+
+import json
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from agents.run_directory import described, read_json, write_text
+from shake_env.errors import FileError
+
+PREFIX = "evaluation_"  # of a result's file name in docs/results
+
+
+def write_result(result: dict[str, Any], file: str | PathLike[str]) -> None:
+    """Write a result; a reader never sees half of it."""
+    file = Path(file)
+    write_text(file, _dumps(result))
+
+
+def _dumps(result: dict[str, Any]) -> str:
+    """Return JSON with the episodes of a run on one line, so that a result is a page and not a roll."""
+    long = {"episodes": result["episodes"], "earthquakes": result["earthquakes"]}
+    rest = {key: value for key, value in result.items() if key not in long}
+    head = json.dumps(rest, indent=1)[:-2]
+    tail = ",\n".join(f' "{key}": {json.dumps(value)}' for key, value in long.items())
+    return f"{head},\n{tail}\n}}\n"
+
+
+def read_result(file: Path) -> dict[str, Any]:
+    """Return the result that a file holds.
+
+    Raises
+    ------
+    FileError
+        If it is missing, not complete or no result of the protocol.
+    """
+    result = read_json(file)
+    lacks = [key for key in _KEYS if key not in result]
+    for row in result.get("rows", ()) if not lacks else ():
+        name = row.get("controller") if isinstance(row, dict) else None
+        if name not in result["episodes"] or not set(_ROW) <= set(row):
+            lacks.append(f"rows.{name}")
+    if lacks:
+        remedy = f"is no complete result of shake evaluate (see {described(lacks)}): make it anew"
+        raise FileError("file", str(file), remedy)
+    return result
+
+
+_KEYS = (
+    "format", "scenario", "version", "seed", "earthquakes", "reference", "yardstick", "optimal_cost",
+    "rows", "episodes",
+)  # fmt: skip
+
+
+_ROW = (
+    "controller", "runs", "sources", "relative_cost", "interquartile_mean", "worst_twentieth",
+    "reference_cost", "probability_of_improvement", "base_shear_rms_error", "acceleration_rms_error",
+    "failures", "episodes", "decision_time", "code", "machine",
+)  # fmt: skip
+
+
+def read_results(folder: str | PathLike[str]) -> dict[str, dict[str, Any]]:
+    """Return the results of a folder by the name of their files, without its prefix.
+
+    Raises
+    ------
+    FileError
+        If one is not complete.
+    """
+    folder = Path(folder)
+    return {
+        file.stem.removeprefix(PREFIX): read_result(file)
+        for file in sorted(folder.glob(f"{PREFIX}*.json"))
+    }

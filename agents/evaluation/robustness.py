@@ -1,0 +1,283 @@
+"""What becomes of a controller where table, specimen, loop or motion are not what it was made for.
+
+Everything is designed on the scenario's nominal model, or was trained on the scenario. Then one thing
+at a time is changed in what it drives, and pairs of things that aggravate each other. What a controller
+is told stays in the units of the nominal model: it notices the change by what the table does, or never.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+import shake_env
+from agents.evaluation.perturbations import QUANTITIES, Change, altered, nominal_value, training_range
+from agents.policies.controller_set import CLAIRVOYANT, ControllerSet, named_controllers, values_to_json
+from agents.policies.policy_file import PolicyFile, digest
+from agents.policies.registry import SHIPPED, file_of, shipped_policy
+from agents.provenance import code_version
+from baselines.tuned_values import TunedValues
+from shake_env.controller import Controller
+from shake_env.errors import ParameterError, ScenarioError, unknown
+from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
+from shake_env.scenario.digest import known_name
+from shake_env.scenario.scenario import Scenario
+from shake_env.simulation.metrics import EpisodeMetrics
+
+FORMAT = "shake-robustness-1"
+SEED = 5_000_000  # far from those of training, comparison, tuning and the protocol's test
+# Pairs that aggravate each other: both make the specimen another one; both take the loop's phase; and
+# noise matters where the motion is weak.
+PAIRS = (("mass_ratio", "storey_frequency"), ("coulomb_friction", "delay"), ("amplitude", "noise"))
+# What is compared unless told otherwise: the reference, what ships, and the best of the classical ones.
+RIVALS = {
+    "linear": ("robust",),
+    "laboratory": ("lqg-accommodating", "robust", "free"),
+    "records": ("lqg-accommodating", "robust", "free"),
+    "unknown-specimen": ("lqg-accommodating", "robust", "free"),
+    "yielding": ("robust", "free"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """What is changed, and to which values, each in its quantity's unit."""
+
+    sweeps: Mapping[str, tuple[float, ...]]  # by quantity, ascending
+    maps: tuple[tuple[str, str], ...]  # pairs of quantities
+    coarse: Mapping[str, tuple[float, ...]]  # values of a map's side, among those of the sweep
+
+    @classmethod
+    def of(cls, scenario: Scenario, quantities: Sequence[str] = (), maps: bool = True) -> Grid:
+        """Return the values for a scenario; its nominal value is always among them.
+
+        Parameters
+        ----------
+        scenario
+            What controllers are made for.
+        quantities
+            Names of `QUANTITIES`; none: all that the scenario's equations have.
+        maps
+            Whether pairs of them are changed together, too.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such quantity.
+        """
+        for name in quantities:
+            if name not in QUANTITIES:
+                raise unknown(ScenarioError, "quantity", name, QUANTITIES)
+        chosen = [
+            name
+            for name, quantity in QUANTITIES.items()
+            if name in quantities or (not quantities and quantity.suits(scenario))
+        ]
+        sweeps = {name: QUANTITIES[name].around(scenario) for name in chosen}
+        pairs = tuple(p for p in PAIRS if maps and all(name in chosen for name in p))
+        sides = {name for pair in pairs for name in pair}
+        coarse = {name: QUANTITIES[name].around(scenario, coarse=True) for name in sides}
+        return cls(sweeps=sweeps, maps=pairs, coarse=coarse)
+
+    def changes(self, scenario: Scenario) -> list[Change]:
+        """Return every change once; the first, empty, leaves the scenario as it is."""
+        found: dict[Change, None] = {(): None}
+        for name, values in self.sweeps.items():
+            found |= {point(scenario, {name: value}): None for value in values}
+        for x, y in self.maps:
+            for a in self.coarse[x]:
+                found |= {point(scenario, {x: a, y: b}): None for b in self.coarse[y]}
+        return list(found)
+
+
+def point(scenario: Scenario, values: Mapping[str, float]) -> Change:
+    """Return a change without what leaves the scenario as it is: nominal values that are not drawn."""
+    return tuple(
+        (name, values[name])
+        for name in QUANTITIES
+        if name in values
+        and (training_range(scenario, name) or values[name] != nominal_value(scenario, name))
+    )
+
+
+def default_controllers(scenario: Scenario) -> tuple[str, ...]:
+    """Return the policies that ship for a scenario, and the classical ones beside."""
+    known = known_name(scenario)
+    trained = "laboratory" if known == "records" else known
+    own = (name for name in SHIPPED if shipped_policy(name, known).stem.startswith(f"{trained}-"))
+    return (*own, *RIVALS.get(known, ()))
+
+
+def controllers_of(
+    names: Sequence[str], scenario: Scenario, tuned: TunedValues | None = None
+) -> tuple[ControllerSet, dict[str, dict[str, Any]]]:
+    """Return the controllers, designed on the scenario as it stands, and whence the learned ones are.
+
+    Raises
+    ------
+    ScenarioError
+        If a name is unknown, or means a controller that knows the changed table or repeats its tests.
+    PolicyFileError
+        If a policy cannot be read or does not fit the scenario.
+    """
+    if CLAIRVOYANT in names:
+        raise ScenarioError("controller", CLAIRVOYANT, "knows what is changed: leave it out")
+    chosen = named_controllers(names or default_controllers(scenario), scenario, tuned=tuned)
+    sources = {}
+    for name, controller in chosen.controllers.items():
+        if isinstance(controller, PolicyFile):
+            config = controller.card.get("config", {})
+            sources[name] = {
+                "algorithm": config.get("algorithm"),
+                "seed": config.get("seed"),
+                "sha256": digest(file_of(name, known_name(scenario))),
+            }
+    return chosen, sources
+
+
+def test_earthquakes(scenario: Scenario, number: int, seed: int) -> list[Earthquake]:
+    """Return the recorded motions of a scenario of records, and filtered noise of any other."""
+    if number < 1:
+        raise ParameterError("earthquakes", number, "ask for at least 1")
+    if known_name(scenario) == "records":
+        return recorded_earthquakes(scenario)
+    return noise_earthquakes(scenario, number, seed)
+
+
+def robustness(
+    scenario: Scenario,
+    names: Sequence[str] = (),
+    *,
+    grid: Grid | None = None,
+    earthquakes: int = 8,
+    seed: int = SEED,
+    tuned: TunedValues | None = None,
+    on_progress: Callable[[str, float], None] = lambda controller, share: None,
+) -> dict[str, Any]:
+    """Return costs and failures of every controller under every change, as plain JSON values.
+
+    Parameters
+    ----------
+    scenario
+        What controllers are made for.
+    names
+        As `controller_set.named_controllers` takes them; none: `default_controllers`. The reference is
+        run in any case.
+    grid
+        What is changed; None: everything, see `Grid.of`.
+    earthquakes
+        Number of filtered-noise earthquakes, the same under every change and for every controller.
+    seed
+        Of the first of them.
+    tuned
+        Tuned values of a file that was named. They, and those that come with the package, are looked up
+        for the scenario as it stands: what is changed in it, no controller knows.
+    on_progress
+        Told the controller that runs and its share done, 0 to 1.
+
+    Raises
+    ------
+    ParameterError
+        If no earthquake is asked for, or a value does not suit the scenario.
+    ScenarioError
+        If a controller is unknown or does not suit.
+    """
+    grid, code = Grid.of(scenario) if grid is None else grid, code_version()  # that runs, not that ends
+    quakes = test_earthquakes(scenario, earthquakes, seed)
+    chosen, sources = controllers_of(names, scenario, tuned)
+    controllers = chosen.controllers
+    reference = next(iter(controllers))
+    changes = grid.changes(scenario)
+    episodes = {}
+    for name, controller in controllers.items():
+
+        def told(share: float, name: str = name) -> None:
+            on_progress(name, share)
+
+        episodes[name] = under_changes(controller, scenario, quakes, changes, told)
+    cost = {name: np.array([[m.cost for m in row] for row in rows]) for name, rows in episodes.items()}
+    failures = {name: [sum(map(lost, row)) for row in rows] for name, rows in episodes.items()}
+    return {
+        "format": FORMAT,
+        "scenario": scenario.name,
+        "version": shake_env.__version__,
+        "code": code,
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+        "seed": None if known_name(scenario) == "records" else seed,
+        "earthquakes": [quake.name for quake in quakes],
+        "reference": reference,
+        "skipped": chosen.skipped,
+        "warnings": chosen.warnings,
+        "values": values_to_json(chosen.values),
+        "controllers": [{"name": n, "source": sources.get(n)} for n in controllers],
+        "quantities": [_quantity(scenario, name, values) for name, values in grid.sweeps.items()],
+        "maps": [
+            {"x": x, "y": y, "xs": list(grid.coarse[x]), "ys": list(grid.coarse[y])}
+            for x, y in grid.maps
+        ],
+        "points": [
+            {
+                "changes": dict(change),
+                "cost": {name: float(table[i].mean()) for name, table in cost.items()},
+                "relative_cost": {
+                    name: float(table[i].sum() / cost[reference][i].sum())
+                    for name, table in cost.items()
+                },
+                "failures": {name: failures[name][i] for name in cost},
+            }
+            for i, change in enumerate(changes)
+        ],
+    }
+
+
+def _quantity(scenario: Scenario, name: str, values: Sequence[float]) -> dict[str, Any]:
+    return {
+        "name": name,
+        "title": QUANTITIES[name].title_for(scenario),
+        "unit": QUANTITIES[name].unit_for(scenario),
+        "nominal": nominal_value(scenario, name),
+        "trained": training_range(scenario, name),
+        "values": list(values),
+    }
+
+
+def lost(metrics: EpisodeMetrics) -> bool:
+    """Return whether a test failed: a limit ended it, or standing still would have served it better.
+
+    A scenario without limits lets an unstable loop go on; a motionless table's acceleration error is 1.
+    """
+    return metrics.broken_limit is not None or not metrics.acceleration_rms_error <= 1.0
+
+
+def under_changes(
+    controller: Controller,
+    scenario: Scenario,
+    earthquakes: Sequence[Earthquake],
+    changes: Sequence[Change],
+    told: Callable[[float], None] = lambda share: None,
+) -> list[list[EpisodeMetrics]]:
+    """Return the figures of a controller on every earthquake, under every change.
+
+    Changes that differ by nothing but the motion's amplitude run side by side.
+    """
+    groups: dict[Change, list[int]] = {}
+    for index, change in enumerate(changes):
+        groups.setdefault(tuple(c for c in change if c[0] != "amplitude"), []).append(index)
+    found: list[list[EpisodeMetrics]] = [[] for _ in changes]
+    for number, (change, members) in enumerate(groups.items()):
+        quakes = [
+            replace(q, motion=replace(q.motion, amplitude=factor * q.motion.amplitude))
+            for factor in (dict(changes[i]).get("amplitude", 1.0) for i in members)
+            for q in earthquakes
+        ]
+        true, unaware = altered(controller, scenario, dict(change), [q.seed for q in quakes])
+        metrics, _ = rollout(unaware, true, quakes)
+        for place, index in enumerate(members):
+            found[index] = metrics[place * len(earthquakes) : (place + 1) * len(earthquakes)]
+        told((number + 1) / len(groups))
+    return found

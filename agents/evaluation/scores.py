@@ -1,0 +1,163 @@
+"""A table of episodes, seeds by earthquakes, and what a result says of it, with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from agents.evaluation.bootstrap import (
+    Scores,
+    Statistic,
+    estimate,
+    interquartile_mean,
+    probability_of_improvement,
+    ratio_of_means,
+    worst_mean,
+)
+
+MEANS = (
+    "acceleration_rms_error",
+    "acceleration_peak_error",
+    "base_shear_rms_error",
+    "base_shear_peak_error",
+)
+# Ratios that should be 1: given is the median distance from it, whichever way.
+RATIOS = {"drift_ratio": "drift_error", "energy_ratio": "energy_error", "arias_ratio": "arias_error"}
+PEAKS = ("peak_current", "peak_velocity", "peak_displacement")
+DIGITS = 7  # of the figures of an episode in a result
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """Figures of every run of a row on every earthquake; NaN where a figure is not defined."""
+
+    figures: dict[str, Scores]  # name: (runs, earthquakes)
+    broken: tuple[tuple[str | None, ...], ...]  # what limit ended an episode
+
+    @classmethod
+    def of(cls, rows: Sequence[Sequence[dict[str, Any]]]) -> Episodes:
+        """Collect rows of plain values, runs by earthquakes."""
+        names = [name for name in rows[0][0] if name not in ("earthquake", "broken_limit")]
+        figures = {
+            name: np.array(
+                [[np.nan if (v := row[name]) is None else v for row in run] for run in rows], dtype=float
+            )
+            for name in names
+        }
+        return cls(figures, tuple(tuple(row["broken_limit"] for row in run) for run in rows))
+
+    @property
+    def cost(self) -> Scores:
+        """Mean stage cost of each episode, (runs, earthquakes)."""
+        return self.figures["cost"]
+
+    @property
+    def failures(self) -> int:
+        """Number of episodes that a limit ended."""
+        return sum(reason is not None for run in self.broken for reason in run)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return costs, base-shear errors and failures as plain values."""
+        kept = {name: self.figures[name] for name in ("cost", "base_shear_rms_error")}
+        plain = {name: [[_short(v) for v in run] for run in table] for name, table in kept.items()}
+        ended = [
+            [run, quake, reason]
+            for run, reasons in enumerate(self.broken)
+            for quake, reason in enumerate(reasons)
+            if reason is not None
+        ]
+        return {**plain, "broken_limits": ended}
+
+
+def summary(
+    name: str,
+    found: Episodes,
+    *,
+    yardstick: Episodes,
+    reference: Episodes,
+    optimum: float | None,
+    resamples: int,
+) -> dict[str, Any]:
+    """Return a row of a result: figures, each with value, low and high of its 95 % interval.
+
+    Parameters
+    ----------
+    name
+        Of the controller.
+    found, yardstick, reference
+        On the same earthquakes.
+    optimum
+        J*, or None.
+    resamples
+        Draws of the bootstrap.
+    """
+    row: dict[str, Any] = {
+        "controller": name,
+        "runs": len(found.cost),
+        "episodes": found.cost.size,
+        **cost_figures(found.cost, yardstick.cost, reference.cost, optimum, resamples),
+        "failures": found.failures,
+    }
+    for figure in MEANS:
+        row[figure] = _interval(_mean, resamples, found.figures[figure])
+    for figure, error in RATIOS.items():
+        known = found.figures.get(figure)
+        row[error] = None
+        if known is not None and np.isfinite(known).all():
+            row[error] = _interval(_median, resamples, np.abs(known - 1.0))
+    for figure in ("delay", "spectral_error"):
+        known = found.figures.get(figure)
+        finite = known is not None and np.isfinite(known).any()
+        row[figure] = float(np.nanmean(known)) if known is not None and finite else None
+    for peak in PEAKS:
+        row[peak] = float(found.figures[peak].max())
+    return row
+
+
+def cost_figures(
+    cost: Scores, yardstick: Scores, reference: Scores, optimum: float | None, resamples: int
+) -> dict[str, Any]:
+    """Return those figures of a row that come of costs alone, (runs, earthquakes); see `summary`."""
+    ratio = cost / yardstick
+    same = np.array_equal(cost, yardstick)
+    regret = optimum is None and not same and reference.mean() > yardstick.mean()
+    return {
+        "relative_cost": _interval(ratio_of_means, resamples, cost, yardstick),
+        "interquartile_mean": _interval(interquartile_mean, resamples, ratio),
+        "worst_twentieth": _interval(worst_mean, resamples, ratio),
+        "reference_cost": _interval(ratio_of_means, resamples, cost, reference),
+        "probability_of_improvement": _interval(probability_of_improvement, resamples, cost, reference),
+        "optimality": (
+            None
+            if optimum is None
+            else _interval(lambda found: float(found.mean() / optimum), resamples, cost)
+        ),
+        "regret_closed": (
+            _interval(_regret_closed, resamples, cost, reference, yardstick) if regret else None
+        ),
+        "run_costs": [float(run.mean() / yardstick.mean()) for run in cost],
+    }
+
+
+def _interval(statistic: Statistic, resamples: int, *samples: Scores) -> dict[str, float]:
+    return asdict(estimate(statistic, *samples, resamples=resamples))
+
+
+def _mean(scores: Scores) -> float:
+    return float(scores.mean())
+
+
+def _median(scores: Scores) -> float:
+    return float(np.median(scores))
+
+
+def _regret_closed(cost: Scores, reference: Scores, clairvoyant: Scores) -> float:
+    """Return the share of what the clairvoyant saves against the reference that is saved."""
+    return float((reference.mean() - cost.mean()) / (reference.mean() - clairvoyant.mean()))
+
+
+def _short(value: float) -> float | None:
+    return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None

@@ -1,0 +1,297 @@
+"""Search a classical controller's free parameters on validation earthquakes, within a stated budget.
+
+The search is Optuna's tree-structured Parzen estimator (Bergstra et al., 2011), seeded, its trace kept
+in SQLite: a search that was interrupted goes on where it stopped. The first trial is the default.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import shake_env
+from agents.policies.own_controller import is_own_controller, own_baseline, own_source
+from agents.run_directory import file_errors
+from baselines.catalogue import BASELINES, Baseline, Tunable
+from baselines.registry import parameter_values
+from baselines.searched_lqg import FREE, as_free, free_baseline
+from baselines.tuned_values import TunedEntry, TunedValues, read_tuned, write_tuned
+from shake_env.controller import Controller
+from shake_env.errors import (
+    NumericalError,
+    ParameterError,
+    ScenarioError,
+    ShakeError,
+    install_hint,
+    unknown,
+)
+from shake_env.rollout import Earthquake, noise_earthquakes, rollout
+from shake_env.scenario.digest import scenario_digest
+from shake_env.scenario.scenario import Scenario
+
+VALIDATION_SEED = 3_000_000  # neither training's, nor its evaluation's, nor the tests'
+FAILED = 1e6  # cost of a trial whose design fails
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What a search came to."""
+
+    controller: str
+    scenario: str  # its name, for a reader
+    digest: str  # what the values belong to, see `shake_env.scenario.digest`
+    parameters: dict[str, float]
+    cost: float  # mean stage cost on the validation earthquakes
+    default_cost: float
+    trials: int
+    table_steps: int  # control periods of all tables in all trials
+    earthquakes: int
+    seed: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result as plain JSON values, with the version that made it."""
+        return {"version": shake_env.__version__, **vars(self)}
+
+
+def tune(
+    name: str,
+    scenario: Scenario,
+    storage: str | PathLike[str],
+    *,
+    budget: int = 4_000_000,
+    earthquakes: int = 16,
+    seed: int = 0,
+    tuned: TunedValues | None = None,
+    on_trial: Callable[[int, int, float], None] = lambda done, total, best: None,
+) -> Tuning:
+    """Search, or go on with a search.
+
+    Parameters
+    ----------
+    name
+        Of `baselines.registry.BASELINES`, ``free``, or a controller of one's own.
+    scenario
+        Its motion is that of the validation earthquakes.
+    storage
+        SQLite file that keeps the trace of every search; made if need be.
+    budget
+        Control periods that may be simulated in all, repeats included: what a policy is trained with by
+        default.
+    earthquakes
+        Validation earthquakes of a trial.
+    seed
+        Of the search.
+    tuned
+        Values that were found before; the search of the free design begins at them, too.
+    on_trial
+        Told the trials done, those in all, and the best cost, after each.
+
+    Raises
+    ------
+    ScenarioError
+        If the controller is unknown or does not suit the scenario.
+    ParameterError
+        If it has nothing to tune, or the budget is below one trial.
+    """
+    storage = Path(storage)
+    candidate = searched(name, scenario)
+    tunable = candidate.tunable
+    if not tunable:
+        raise ParameterError("controller", name, "has no free parameter: its design decides everything")
+    motions = noise_earthquakes(scenario, earthquakes, VALIDATION_SEED)
+    steps = round(motions[0].motion.duration / scenario.control_period) * earthquakes  # type: ignore[union-attr]
+    steps *= candidate.tests
+    total = trials_of(budget, steps)
+    quakes = [motions] if candidate.repeats_tests else []
+    starts = [{each: t.default for each, t in tunable.items()}, *starting_points(name, scenario, tuned)]
+    if not quakes:
+        candidate.make(scenario, **starts[0])  # says at once if the scenario does not suit it
+
+    def cost(values: dict[str, float]) -> float:
+        return mean_cost(lambda: candidate.make(scenario, *quakes, **values), scenario, motions)
+
+    # Another scenario of that name, or other ranges, are another search.
+    parts = (scenario, tunable, own_source(name)) if is_own_controller(name) else (scenario, tunable)
+    identity = zlib.crc32(repr(parts).encode())
+    study = f"{scenario.name}/{name}/{seed}/{earthquakes}/{identity:08x}"
+    found = search(cost, tunable, storage, study, total, seed, on_trial, starts)
+    return Tuning(
+        name, scenario.name, scenario_digest(scenario), found.parameters, found.cost,
+        found.default_cost, found.trials, found.trials * steps, earthquakes, seed,
+    )  # fmt: skip
+
+
+def searched(name: str, scenario: Scenario) -> Baseline:
+    """Return the controller called `name`, of the catalogue, the free design or one's own.
+
+    Raises
+    ------
+    ScenarioError
+        If there is none of that name.
+    """
+    if name == FREE:
+        return free_baseline(scenario)
+    if is_own_controller(name):
+        return own_baseline(name)
+    if name not in BASELINES:
+        raise unknown(ScenarioError, "controller", name, [*BASELINES, FREE])
+    return BASELINES[name]
+
+
+def starting_points(
+    name: str, scenario: Scenario, tuned: TunedValues | None = None
+) -> list[dict[str, float]]:
+    """Return what is tried after the defaults: for the free design what others were tuned to.
+
+    Values outside what is searched are left out.
+    """
+    if name != FREE:
+        return []
+    points = []
+    tuned = None if tuned is None else tuned.of_scenario(scenario_digest(scenario))
+    for other in ("preview-lqr", "lqg", "lqg-accommodating"):
+        values = parameter_values(other, scenario, tuned)
+        if values.source != "rule":
+            accommodates = other == "lqg-accommodating"
+            points.append(as_free(scenario, values.parameters, accommodates=accommodates))
+    free = free_baseline(scenario).tunable
+    return [p for p in points if all(free[n].low <= value <= free[n].high for n, value in p.items())]
+
+
+def trials_of(budget: int, steps: int) -> int:
+    """Return how many trials of `steps` control periods a budget pays for.
+
+    Raises
+    ------
+    ParameterError
+        If it pays for none.
+    """
+    if budget < steps:
+        raise ParameterError("budget", budget, f"one trial takes {steps} control periods")
+    return budget // steps
+
+
+def mean_cost(
+    make: Callable[[], Controller], scenario: Scenario, earthquakes: Sequence[Earthquake]
+) -> float:
+    """Return the mean stage cost of what `make` designs; `FAILED` where there is no such design."""
+    try:
+        rows, _ = rollout(make(), scenario, earthquakes)
+    except NumericalError:
+        return FAILED
+    mean = float(np.mean([row.cost for row in rows]))
+    return mean if math.isfinite(mean) else FAILED
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a study came to."""
+
+    parameters: dict[str, float]
+    cost: float
+    default_cost: float
+    trials: int
+
+
+def search(
+    cost: Callable[[dict[str, float]], float],
+    tunable: Mapping[str, Tunable],
+    storage: str | PathLike[str],
+    study_name: str,
+    total: int,
+    seed: int,
+    on_trial: Callable[[int, int, float], None],
+    starts: Sequence[Mapping[str, float]],
+) -> Found:
+    """Search `tunable` for the least cost in `total` trials, those of an earlier run counted.
+
+    The first trials are `starts`; what the first of them costs is the result's `default_cost`.
+    """
+    storage = Path(storage)
+    try:
+        import optuna
+    except ImportError:
+        raise ShakeError("optuna", "missing", install_hint("agents")) from None
+
+    def objective(trial: Any) -> float:
+        return cost(
+            {
+                each: trial.suggest_float(each, t.low, t.high, log=t.logarithmic)
+                for each, t in tunable.items()
+            }
+        )
+
+    distributions = {
+        each: optuna.distributions.FloatDistribution(t.low, t.high, log=t.logarithmic)
+        for each, t in tunable.items()
+    }
+    with file_errors(storage):
+        storage.parent.mkdir(parents=True, exist_ok=True)
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    study = optuna.create_study(
+        study_name=study_name, storage=f"sqlite:///{storage}", load_if_exists=True
+    )
+    done = _finished(study)
+    # A resumed search draws from a seed of its own, or it would repeat its first trials.
+    study.sampler = optuna.samplers.TPESampler(seed=seed + 1000 * done, multivariate=True)
+    # The starts are put in when their cost is known, and looked for by their values: a search that was
+    # cut in one of them tries it again, before any other.
+    for start in starts:
+        if done < total and _value_at(study, start) is None:
+            study.add_trial(
+                optuna.trial.create_trial(
+                    params=dict(start), distributions=distributions, value=cost(dict(start))
+                )
+            )
+            done = _finished(study)
+            on_trial(done, total, study.best_value)
+    while done < total:
+        study.optimize(objective, n_trials=1)
+        done = _finished(study)
+        on_trial(done, total, study.best_value)
+    default = _value_at(study, starts[0])
+    assert default is not None  # it is the first trial, and there is one
+    return Found(dict(study.best_params), float(study.best_value), float(default), done)
+
+
+def _value_at(study: Any, start: Mapping[str, float]) -> float | None:
+    """Return the cost of the first finished trial of these values, None if there is none."""
+    values = (t.value for t in study.trials if t.value is not None and t.params == dict(start))
+    return next(values, None)
+
+
+def _finished(study: Any) -> int:
+    return sum(trial.value is not None for trial in study.trials)
+
+
+def keep(tuning: Tuning, file: str | PathLike[str]) -> None:
+    """Put a result into a file of tuned values, in place of one for the same controller and scenario.
+
+    Raises
+    ------
+    ParameterError
+        If the file is there and is no file of tuned values.
+    """
+    file = Path(file)
+    known = kept_values(file) or TunedValues(str(file))
+    search = tuning.to_json()
+    entry = TunedEntry(
+        controller=search.pop("controller"),
+        digest=search.pop("digest"),
+        scenario=search.pop("scenario"),
+        parameters=search.pop("parameters"),
+        search=search,
+    )
+    write_tuned(known.with_entry(entry), file)
+
+
+def kept_values(file: Path | None) -> TunedValues | None:
+    """Return the values of a file that results are put into; None where there is no such file yet."""
+    return read_tuned(file) if file is not None and file.exists() else None

@@ -1,0 +1,306 @@
+"""What a campaign trains: a configuration for each scenario and algorithm, and who is run beside them.
+
+A recipe is the algorithm's defaults (see `config`) with as few deviations as its scenario needs, each
+with its reason. Minutes are for planning: one process on one core, from the rate of its first updates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from agents.scenario_options import ScenarioOptions
+from agents.training.algorithm_options import (
+    AnalyticOptions,
+    PPOOptions,
+    RecurrentPPOOptions,
+    SACOptions,
+    TD3Options,
+    TQCOptions,
+)
+from agents.training.config import MOST_SEEDS, TrainConfig
+from shake_env.errors import ParameterError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arena:
+    """Something to be tested on: a scenario, how often, and the controllers beside the policies."""
+
+    name: str
+    options: ScenarioOptions
+    rivals: tuple[str, ...]  # classical controllers with the same information; the reference is implied
+    earthquakes: int = 200
+    fidelity: bool = True  # whether response spectrum, drift and energy are compared: most of the time
+    trained_on: str | None = None  # arena whose policies it takes; None: its own
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """One configuration of a campaign, to be run with several seeds."""
+
+    arena: str
+    config: TrainConfig
+    minutes: float  # expected, of one run
+    seeds: int = 5
+    label: str | None = None  # where an algorithm has several recipes in one arena
+    why: str = "the algorithm's defaults"
+
+    @property
+    def name(self) -> str:
+        """``SCENARIO/ALGORITHM``."""
+        return f"{self.arena}/{self.label or self.config.algorithm}"
+
+    def with_seed(self, seed: int) -> TrainConfig:
+        """Return the configuration of one run.
+
+        Raises
+        ------
+        ParameterError
+            If the seed's earthquakes would reach those that policies are evaluated on.
+        """
+        if not 0 <= seed < MOST_SEEDS:
+            raise ParameterError("seed", seed, f"a campaign has seeds 0 to {MOST_SEEDS - 1}")
+        return replace(self.config, seed=seed)
+
+
+LABORATORY_RIVALS = (
+    "lqg", "lqg-accommodating", "robust", "inverse-feedback", "free", "free-force", "tvc", "none",
+)  # fmt: skip
+FRICTION = ScenarioOptions(set=("nonlinearity.friction.coulomb=300",))
+# A step of the physics as long as a control period does not resolve how friction turns about. LQR then
+# loses a third instead of a sixth, and there is more to learn: a warning, and what coarse plants report.
+COARSE_FRICTION = replace(FRICTION, set=(*FRICTION.set, "physics_step=0.005"))
+
+ARENAS: tuple[Arena, ...] = (
+    Arena(name="linear", options=ScenarioOptions(), rivals=("none",)),
+    Arena(name="as-printed", options=ScenarioOptions("as-printed"), rivals=("none",)),
+    # The reference there is LQR, which does not know of the friction.
+    Arena(name="friction", options=FRICTION, rivals=("feedforward", "none")),
+    Arena(name="friction-coarse", options=COARSE_FRICTION, rivals=("feedforward", "none")),
+    Arena(name="laboratory", options=ScenarioOptions("laboratory"), rivals=LABORATORY_RIVALS),
+    Arena(
+        name="records",
+        options=ScenarioOptions("records"),
+        rivals=LABORATORY_RIVALS,
+        trained_on="laboratory",
+    ),
+    Arena(
+        name="unknown-specimen",
+        options=ScenarioOptions("unknown-specimen"),
+        rivals=("lqg", "lqg-accommodating", "adaptive", "multi-model", "robust", "free", "none"),
+        earthquakes=2000,
+        fidelity=False,
+    ),
+    Arena(
+        name="yielding",
+        options=ScenarioOptions("yielding"),
+        rivals=("preview-lqr", "robust", "free", "free-force", "none"),
+    ),
+)
+
+
+def _recipe(
+    arena: str,
+    config: TrainConfig,
+    minutes: float,
+    why: str = "",
+    label: str | None = None,
+    otherwise: tuple[str, ...] = (),
+) -> Recipe:
+    """Return a recipe; `otherwise` are fields in which training differs from what it is tested on."""
+    options = next(each.options for each in ARENAS if each.name == arena)
+    config = replace(config, scenario=replace(options, set=(*options.set, *otherwise)))
+    default = "the algorithm's defaults"
+    return Recipe(arena=arena, config=config, minutes=minutes, why=why or default, label=label)
+
+
+# The whole of a laboratory's envelope: rise, strong part and decay. Many earthquakes choose the policy
+# that is kept, for what is lost is lost rarely; and the last part of the stroke costs before it ends.
+_WHOLE: dict[str, Any] = {"episode": 15.0, "evaluation_earthquakes": 128}
+_EARLY = ("limits.soft_share=0.7", "limits.soft_weight=0.02")
+# And what a table may be asked for beside it: earthquakes that use all of its stroke, whose last fifth
+# costs.
+_STROKE: dict[str, Any] = {"episode": 15.0, "artificial": 24, "evaluation_earthquakes": 64}
+_SOFT = ("limits.soft_share=0.8", "limits.soft_weight=0.05")
+_WHOLE_NOISE = "the length of the test's earthquakes: a table that minds no place walks further in them"
+_LESS_NOISE = "four times the roll-out: what is left above the optimum is the noise of its gradients"
+_LONG = "as many steps as a quarter of an hour has"
+_NO_SIDES = "averaged with its mirror image, for a table has no sides"
+_EXPLORES_LITTLE = (
+    f"a correction within a fiftieth of the current, for it explores a share of that; {_NO_SIDES}"
+)
+_BIASES = "biases, for friction and limits do not scale with the motion"
+_BIASED = AnalyticOptions(scale_free=False)
+
+
+_OFF_POLICY: tuple[tuple[Literal["sac", "td3", "tqc"], float], ...] = (
+    ("sac", 5.0), ("td3", 3.0), ("tqc", 5.0),
+)  # fmt: skip
+
+
+def _correction(memory: int = 0, authority: float = 0.2) -> AnalyticOptions:
+    """Return the analytic gradient's options for a correction of `free` on a table with a stroke.
+
+    Windows of 1.3 s outlast the drift that a correction causes; a larger step, or windows of half a
+    second, drive tables to the stroke's end.
+    """
+    return AnalyticOptions(
+        base="free", authority=authority, learning_rate=2e-4, window=256, tables=64, memory=memory,
+        scale_free=False,
+    )  # fmt: skip
+
+
+# What gradients correct is 0.15 to 0.6 % of the current's range (rms). Exploration is a share of the
+# authority, and with a tenth of the range it alone would be more than that.
+_SMALL = 0.02
+
+
+def _corrected(arena: str, minutes: float, usual: dict[str, Any], otherwise: tuple[str, ...]) -> Recipe:
+    """Return the recipe of PPO for the same correction, within about what gradients need for it."""
+    options = PPOOptions(base="free", authority=_SMALL, scale_free=False)
+    config = TrainConfig(ppo=options, mirrored=True, **usual)
+    return _recipe(arena, config, minutes, _EXPLORES_LITTLE, otherwise=otherwise)
+
+
+def _gradients_from_nothing(arena: str, learning_rate: float) -> Recipe:
+    """Return the recipe of the analytic gradient for a linear table that is seen in full."""
+    options = AnalyticOptions(tables=64, window=192, learning_rate=learning_rate)
+    config = TrainConfig(algorithm="analytic", analytic=options, episode=20.0, total_steps=15_728_640)
+    why = f"windows of a second, whose end costs half a percent less; {_WHOLE_NOISE}"
+    return _recipe(arena, config, 3.0, why)
+
+
+def _ppo_from_nothing(
+    arena: str, minutes: float, horizon: float = 0.3, *, biases: bool = False
+) -> Recipe:
+    """Return the recipe of PPO for a table that is seen in full, which looks `horizon` [s] ahead."""
+    options = PPOOptions(tables=256, batch_size=8192, epochs=6, scale_free=not biases)
+    config = TrainConfig(ppo=options, horizon=horizon, total_steps=24_000_000, mirrored=True)
+    reasons = [_BIASES] if biases else []
+    return _recipe(arena, config, minutes, "; ".join([*reasons, _LESS_NOISE, _NO_SIDES]))
+
+
+RECIPES: tuple[Recipe, ...] = (
+    _gradients_from_nothing("linear", 8e-4),
+    _ppo_from_nothing("linear", 7.0),
+    _recipe("linear", TrainConfig(algorithm="sac", total_steps=700_000), 12.0, _LONG),
+    _recipe(
+        "linear",
+        TrainConfig(
+            algorithm="td3",
+            td3=TD3Options(
+                authority=0.06,
+                exploration=0.4,
+                target_noise=0.2,
+                target_noise_clip=0.5,
+                learning_rate=1e-3,
+                gradient_steps=20,
+            ),
+            horizon=0.6,
+            total_steps=400_000,
+            mirrored=True,
+        ),
+        7.0,
+        f"little authority, much of it as exploration, a large step, as a search found; {_NO_SIDES}",
+    ),
+    _recipe(
+        "linear",
+        TrainConfig(algorithm="tqc", total_steps=500_000, mirrored=True),
+        12.0,
+        f"{_LONG}; {_NO_SIDES}",
+    ),
+    _recipe("linear", TrainConfig(algorithm="recurrent-ppo"), 6.0),
+    # With the printed equations a horizon of 0.3 s costs 3.4 % (`lookahead`), of half a second 1.4.
+    _gradients_from_nothing("as-printed", 4e-4),
+    _ppo_from_nothing("as-printed", 7.0, 0.5),
+    _recipe("friction", TrainConfig(algorithm="analytic", analytic=_BIASED), 6.0, _BIASES),
+    _recipe(
+        "friction",
+        TrainConfig(algorithm="analytic", analytic=_BIASED),
+        6.0,
+        f"minds the force two and a half times as much, which costs next to nothing; {_BIASES}",
+        label="analytic-force",
+        otherwise=("objective.force_weight=2.5",),
+    ),
+    _ppo_from_nothing("friction", 7.0, biases=True),
+    _recipe(
+        "friction-coarse",
+        TrainConfig(algorithm="analytic", analytic=replace(_BIASED, learning_rate=3e-4)),
+        2.0,
+        f"{_BIASES}; a third of the step, for gradients through coarse steps are steep",
+    ),
+    _ppo_from_nothing("friction-coarse", 5.0, biases=True),
+    _recipe(
+        "laboratory",
+        TrainConfig(
+            algorithm="analytic", analytic=_correction(authority=0.3), total_steps=6_144_000, **_WHOLE
+        ),
+        4.0,
+        "corrects the best law that a search found",
+        otherwise=_EARLY,
+    ),
+    _recipe(
+        "laboratory",
+        TrainConfig(algorithm="analytic", analytic=_correction(), total_steps=6_144_000, **_STROKE),
+        5.0,
+        "minds the force thirty times as much, for a specimen feels nothing else; and holds its place "
+        "on motions that use all of the stroke",
+        label="analytic-force",
+        otherwise=("objective.force_weight=30", *_SOFT),
+    ),
+    _corrected("laboratory", 3.0, _WHOLE, _EARLY),
+    _recipe(
+        "unknown-specimen",
+        TrainConfig(
+            algorithm="analytic",
+            analytic=_correction(memory=64, authority=0.1),
+            total_steps=6_144_000,
+            **_STROKE,
+        ),
+        7.0,
+        "a memory: what a specimen weighs lies in how the table answered, not in what it shows now",
+        otherwise=_SOFT,
+    ),
+    _corrected("unknown-specimen", 4.0, _STROKE, _SOFT),
+    _recipe(
+        "unknown-specimen",
+        TrainConfig(
+            algorithm="recurrent-ppo",
+            recurrent_ppo=RecurrentPPOOptions(base="free", authority=_SMALL),
+            total_steps=2_000_000,
+            **_STROKE,
+        ),
+        6.0,
+        "an LSTM, on the scenario where a memory is worth most",
+        otherwise=_SOFT,
+    ),
+    _recipe(
+        "yielding",
+        TrainConfig(
+            algorithm="analytic", analytic=_correction(authority=0.3), total_steps=4_915_200, **_WHOLE
+        ),
+        4.0,
+        "corrects the best law that a search found",
+        otherwise=_EARLY,
+    ),
+    _corrected("yielding", 3.0, _WHOLE, _EARLY),
+    # The realistic scenario that shows the whole state. From nothing, a critic cannot tell good currents
+    # from bad before the tables are lost.
+    *(
+        _recipe(
+            "yielding",
+            TrainConfig(
+                algorithm=algorithm,
+                sac=SACOptions(base="free", authority=_SMALL),
+                td3=TD3Options(base="free", authority=_SMALL),
+                tqc=TQCOptions(base="free", authority=_SMALL),
+                mirrored=True,
+                **_WHOLE,
+            ),
+            minutes,
+            _EXPLORES_LITTLE,
+            otherwise=_EARLY,
+        )
+        for algorithm, minutes in _OFF_POLICY
+    ),
+)

@@ -1,0 +1,137 @@
+"""Results of a campaign: every arena's policies and rivals under the protocol, row by row."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from agents.evaluation.benchmark import TEST_SEED
+from agents.evaluation.protocol import Contestant, contestant, evaluate
+from agents.evaluation.result_files import PREFIX, read_result, write_result
+from agents.experiments.recipes import Arena
+from agents.run_directory import POLICY
+from baselines.lqr import oracle as clairvoyant
+from baselines.registry import tuned_parameters
+from shake_env.errors import ParameterError
+from shake_env.scenario.scenario import Scenario
+
+CLAIRVOYANT_DESIGN = {
+    "position": clairvoyant.POSITION,
+    "friction_position": clairvoyant.FRICTION_POSITION,
+    "preview": clairvoyant.PREVIEW,
+}
+
+
+def policy_folders(arena: Arena, folder: Path) -> list[Path]:
+    """Return the folders of runs, one an algorithm, whose policies an arena takes."""
+    own = folder / (arena.trained_on or arena.name)
+    return sorted({file.parents[1] for file in own.glob(f"*/*/{POLICY}")})
+
+
+def evaluate_arena(
+    arena: Arena,
+    folder: Path,
+    results: Path,
+    *,
+    again: bool = False,
+    on_progress: Callable[[str, float], None] = lambda controller, share: None,
+) -> tuple[Path, dict[str, Any], bool]:
+    """Return the file of an arena's result, the result, and whether any of it was made now.
+
+    A row holds while there is no policy for it that it was not made of, and a rival's while it is in the
+    file, tuned as it is now: a row whose policies lie on no disk here any more stays. What does not hold
+    is run, and with it reference and yardstick, which the costs of all rows are held against, and the
+    table that does nothing, which must fare as it did. The code's version is not asked, for most changes
+    of it touch no figure: `again` asks for all rows anew, of the policies that there are.
+
+    Raises
+    ------
+    ParameterError
+        If rows are to stay, but the table that does nothing fares otherwise than when those were made;
+        or if a row of some policies would become one of fewer others.
+    """
+    file = results / f"{PREFIX}{arena.name}.json"
+    scenario = arena.options.build()
+    rows = [contestant(str(runs), scenario) for runs in policy_folders(arena, folder)]
+    rows += [Contestant(name) for name in arena.rivals]
+    known = None
+    if file.exists() and not again:
+        known = _read(file, arena)
+    missing = [row for row in rows if known is None or not _holds(row, known["identity"], scenario)]
+    same_floor = known is not None and known["identity"]["clairvoyant"] == CLAIRVOYANT_DESIGN
+    if known is not None and not missing and same_floor:
+        return file, known, False
+    result = evaluate(
+        scenario,
+        missing,
+        earthquakes=arena.earthquakes,
+        repeats=arena.fidelity,
+        known=known,
+        on_progress=on_progress,
+    )
+    result |= {"arena": arena.name, "identity": _identity(result, arena)}
+    write_result(result, file)
+    return file, result, True
+
+
+def _read(file: Path, arena: Arena) -> dict[str, Any]:
+    known = read_result(file)
+    identity = known.get("identity")
+    complete = isinstance(identity, dict) and {"arena", "clairvoyant", "rows", "tuned"} <= set(identity)
+    if not complete or identity["arena"] != _asked(arena):
+        raise ParameterError(
+            "results",
+            str(file),
+            f"is no result of {arena.name} as it is asked for now: move it away, or evaluate all rows "
+            "anew (--again), of the policies that there are",
+        )
+    return known
+
+
+def _holds(row: Contestant, known: dict[str, Any], scenario: Scenario) -> bool:
+    """Return whether a known row is this one's: the same rival, or policies that it was made of.
+
+    Raises
+    ------
+    ParameterError
+        If others have come, some of the known ones are gone, and there are fewer than there were.
+    """
+    if row.name not in known["rows"]:
+        return False
+    if not row.policies:
+        tuned: bool = known["tuned"].get(row.name, {}) == tuned_parameters(row.name, scenario)
+        return tuned
+    here = Counter(source["sha256"] for source in row.sources)
+    there = Counter(known["rows"][row.name])
+    if here <= there:
+        return True
+    if there <= here or here.total() >= there.total():
+        return False
+    raise ParameterError(
+        "policies",
+        row.name,
+        f"{here.total()} lie here, others than the {there.total()} of the known row, which they would "
+        "replace: train as many seeds, move them away, or evaluate all rows anew (--again)",
+    )
+
+
+def _asked(arena: Arena) -> dict[str, Any]:
+    """Return what a result depends on but for its rows and the code."""
+    asked: dict[str, Any] = json.loads(json.dumps(asdict(arena.options)))
+    return asked | {"earthquakes": arena.earthquakes, "fidelity": arena.fidelity, "seed": TEST_SEED}
+
+
+def _identity(result: dict[str, Any], arena: Arena) -> dict[str, Any]:
+    rows = {row["controller"]: [s["sha256"] for s in row["sources"]] for row in result["rows"]}
+    scenario = arena.options.build()
+    tuned = {name: tuned_parameters(name, scenario) for name in rows if not rows[name]}
+    return {
+        "arena": _asked(arena),
+        "clairvoyant": CLAIRVOYANT_DESIGN,
+        "rows": rows,
+        "tuned": tuned,
+    }

@@ -1,0 +1,337 @@
+"""Search a recipe's values by short trainings, judged on validation earthquakes.
+
+Optuna's tree-structured Parzen estimator (Bergstra et al., 2011) draws the values, and its median pruner
+ends a run whose own evaluations stand behind half of those before it. Everything lies in SQLite: a
+search that was interrupted, or killed, goes on with the trial that it was at, from that run's
+checkpoint. The sampler is seeded by the number of trials done, so that what it draws does not depend on
+where a search was cut.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import shake_env
+from agents.experiments import recipes
+from agents.experiments.controller_tuning import FAILED, VALIDATION_SEED
+from agents.experiments.recipes import Recipe
+from agents.experiments.search_objective import Judge, OutOfTimeError, PrunedError, Validation
+from agents.experiments.search_space import TRAIN_SEED, own_values, space, space_json, trial_config
+from agents.experiments.search_trace import Trace, TrialRow
+from agents.policies.policy_file import load_policy
+from agents.progress import Progress
+from agents.provenance import code_version
+from agents.run_directory import POLICY, file_errors, locked
+from agents.training.checkpoint import delete_checkpoints
+from agents.training.config import config_of
+from agents.training.train import go_on
+from shake_env.errors import (
+    ParameterError,
+    PolicyFileError,
+    RunDirectoryError,
+    ScenarioError,
+    ShakeError,
+    install_hint,
+    unknown,
+)
+
+UNJUDGED = 5  # trials that no pruner ends: a median of fewer says little
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """What decides a search.
+
+    Raises
+    ------
+    ParameterError
+        If a number is outside its range.
+    """
+
+    recipe: Recipe
+    share: float = 0.3
+    """Share of the recipe's steps that a trial trains for."""
+    seed: int = 0
+    """Of what is drawn."""
+    earthquakes: int = 64
+    """Validation earthquakes that a trial is judged on."""
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise ParameterError("seed", self.seed, "must be at least 0")
+        if self.earthquakes < 1:
+            raise ParameterError("earthquakes", self.earthquakes, "must be at least 1")
+        trial_config(self.recipe, {}, self.share)
+
+    @property
+    def name(self) -> str:
+        """Name of the study, and of the folder of its runs."""
+        return f"{self.recipe.name}/share{self.share:g}-seed{self.seed}-tests{self.earthquakes}"
+
+    def identity(self) -> str:
+        """Return everything that decides a trial, so that no search mixes two kinds of them."""
+        config = trial_config(self.recipe, {}, self.share).to_json()
+        return json.dumps([config, space_json(space(self.recipe))])
+
+    def same(self, identity: str) -> bool:
+        """Return whether that is this search's; options that it does not know have their defaults."""
+        try:
+            (one, space_one), (two, space_two) = json.loads(identity), json.loads(self.identity())
+            return space_one == space_two and config_of(one) == config_of(two)
+        except ValueError:  # a configuration of another version
+            return False
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where a search stands."""
+
+    done: int
+    total: int
+    trial: int  # number of the one that runs, or ran last
+    progress: Progress | None  # of its training
+    best: float | None  # cost over the reference's
+    seconds_left: float | None  # wall time, as far as it can be told
+
+
+def find_recipe(name: str) -> Recipe:
+    """Return the recipe of a name.
+
+    Raises
+    ------
+    ScenarioError
+        If there is none.
+    """
+    found = {recipe.name: recipe for recipe in recipes.RECIPES}
+    if name not in found:
+        raise unknown(ScenarioError, "recipe", name, found)
+    return found[name]
+
+
+def open_study(search: Search, storage: Path) -> Any:
+    """Return the Optuna study of a search, made if need be.
+
+    Raises
+    ------
+    ParameterError
+        If the storage has it with another recipe or space.
+    ShakeError
+        If Optuna is not installed.
+    """
+    try:
+        import optuna
+    except ImportError:
+        raise ShakeError("optuna", "missing", install_hint("agents")) from None
+    with file_errors(storage):
+        storage.parent.mkdir(parents=True, exist_ok=True)
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    study = optuna.create_study(
+        study_name=search.name, storage=f"sqlite:///{storage}", load_if_exists=True
+    )
+    evaluations = trial_config(search.recipe, {}, search.share).evaluations
+    study.pruner = optuna.pruners.MedianPruner(
+        n_startup_trials=UNJUDGED, n_warmup_steps=max(1, evaluations // 3)
+    )
+    identity = search.identity()
+    if not search.same(study.user_attrs.get("identity", identity)):
+        remedy = f"holds {search.name} of another recipe or space: give another --storage or --seed"
+        raise ParameterError("storage", str(storage), remedy)
+    study.set_user_attr("identity", identity)
+    return study
+
+
+def _with_states(study: Any, *states: str) -> list[Any]:
+    return [trial for trial in study.get_trials(deepcopy=False) if trial.state.name in states]
+
+
+def _done(study: Any) -> list[Any]:
+    return _with_states(study, "COMPLETE", "PRUNED")
+
+
+def _queue(study: Any, search: Search) -> None:
+    """Queue the recipe itself, if it is new, and the trial that was cut, with the run that it had."""
+    import optuna
+
+    trials = study.get_trials(deepcopy=False)
+    lives = [trial for trial in trials if trial.state.name != "FAIL"]
+    if not lives:
+        own = own_values(search.recipe)
+        start = {knob.name: own[knob.name] for knob in space(search.recipe)}
+        study.enqueue_trial(start, user_attrs={"recipe": True})
+    for cut in _with_states(study, "RUNNING"):
+        # Given up under its number, which counts for nothing, and queued under the next.
+        study.tell(cut.number, state=optuna.trial.TrialState.FAIL)
+        study.enqueue_trial(cut.params, user_attrs={"run": str(cut.number), **cut.user_attrs})
+
+
+def search_recipe(
+    search: Search,
+    storage: Path,
+    folder: Path,
+    *,
+    trials: int = 40,
+    minutes: float | None = None,
+    on_update: Callable[[Standing], None] = lambda standing: None,
+) -> Trace:
+    """Search, or go on with a search.
+
+    Parameters
+    ----------
+    search
+        What is searched.
+    storage
+        SQLite file that keeps the trace of every search.
+    folder
+        Runs lie in ``folder / ARENA / ALGORITHM / SEARCH / TRIAL``.
+    trials
+        In all, those of an earlier process counted; 0 returns what there is.
+    minutes
+        Wall time of this process; the trial that it ends in goes on another time. None: no bound.
+    on_update
+        Told where the search stands, at most every half second and after each trial.
+
+    Raises
+    ------
+    ParameterError
+        If a number is outside its range, or the storage holds this search with another recipe.
+    RunDirectoryError
+        If another process runs this search, or a trial's directory holds another run.
+    """
+    if trials < 0:
+        raise ParameterError("trials", trials, "must be at least 0")
+    if minutes is not None and not minutes > 0.0:
+        raise ParameterError("minutes", minutes, "must be above 0")
+    until = math.inf if minutes is None else time.monotonic() + 60.0 * minutes
+    study, home = open_study(search, storage), folder / search.name
+    if len(_done(study)) >= trials:
+        return trace_of(search, study)
+    with locked(home):
+        validation = Validation(search.recipe, search.earthquakes)
+        study.set_user_attr("reference", validation.reference)
+        study.set_user_attr("reference_lost", validation.reference_lost)
+        _queue(study, search)
+        while len(_done(study)) < trials and time.monotonic() < until:
+
+            def tell(number: int, told: Progress | None) -> None:
+                on_update(_standing(study, trials, until, number, told))
+
+            try:
+                _trial(study, search, validation, home, until, tell)
+            except OutOfTimeError:
+                break
+    return trace_of(search, study)
+
+
+def _trial(
+    study: Any,
+    search: Search,
+    validation: Validation,
+    home: Path,
+    until: float,
+    tell: Callable[[int, Progress | None], None],
+) -> None:
+    import optuna
+
+    seed = search.seed + 1000 * len(_done(study))
+    study.sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True)
+    trial = study.ask()
+    values = {knob.name: knob.suggest(trial) for knob in space(search.recipe)}
+    config = trial_config(search.recipe, values, search.share)
+    run = home / trial.user_attrs.get("run", str(trial.number))
+    before, began = trial.user_attrs.get("seconds", 0.0), time.process_time()
+    trial.set_user_attr("code", code_version())
+    judge = Judge(trial, config, run, until)
+
+    def report(told: Progress) -> None:
+        trial.set_user_attr("seconds", before + time.process_time() - began)
+        judge(told)
+        tell(trial.number, told)
+
+    try:
+        command = (
+            f"shake recipe-search {search.recipe.name} --share {search.share:g} --seed {search.seed}"
+        )
+        go_on(config, run, report=report, command=command)
+        judge.report()
+        found = validation.judge(load_policy(run / POLICY))
+    except PrunedError:
+        found = None
+    except (ParameterError, ScenarioError, RunDirectoryError):
+        raise  # a mistake in what was asked, no property of the values
+    # A network or a design that came to no numbers.
+    except (PolicyFileError, ValueError, ArithmeticError) as error:
+        if trial.user_attrs.get("recipe"):
+            raise  # nor is this
+        reason = (str(error) or "no reason told").splitlines()[0]
+        found = {"cost": FAILED, "failure": f"{type(error).__name__}: {reason}"}
+    trial.set_user_attr("seconds", before + time.process_time() - began)
+    trial.set_user_attr("ratio", judge.best if math.isfinite(judge.best) else None)
+    for key, value in (found or {}).items():
+        trial.set_user_attr(key, value)
+    if found is None:
+        study.tell(trial, state=optuna.trial.TrialState.PRUNED)
+    else:
+        study.tell(trial, found["cost"])
+    # What is done is not gone on with, and a replay buffer is large.
+    delete_checkpoints(run)
+    tell(trial.number, None)
+
+
+def _standing(study: Any, total: int, until: float, number: int, told: Progress | None) -> Standing:
+    done = _done(study)
+    costs = [t.value for t in done if t.state.name == "COMPLETE"]
+    times = [t.duration.total_seconds() for t in done]
+    share = told.steps / told.total_steps if told else 0.0
+    left = None
+    if times:
+        left = max(0.0, sum(times) / len(times) * (total - len(done) - share))
+    elif told and share > 0.05:
+        left = told.seconds / share * (total - share)
+    if math.isfinite(until):
+        left = min(math.inf if left is None else left, max(0.0, until - time.monotonic()))
+    return Standing(len(done), total, number, told, min(costs, default=None), left)
+
+
+def trace_of(search: Search, study: Any) -> Trace:
+    """Return the trace of a search as far as it is done."""
+    knobs, own = space(search.recipe), own_values(search.recipe)
+    rows = []
+    for trial in _done(study):
+        told = trial.user_attrs
+        failed = "failure" in told
+        state = "pruned" if trial.state.name == "PRUNED" else "failed" if failed else "complete"
+        rows.append(
+            TrialRow(
+                number=trial.number,
+                state=state,
+                values={knob.name: knob.tidy(trial.params[knob.name]) for knob in knobs},
+                cost=None if failed else told.get("cost"),
+                seconds=round(told.get("seconds", 0.0), 1),
+                recipe=told.get("recipe", False),
+                **{key: told.get(key) for key in ("low", "high", "lost", "ratio", "code", "failure")},
+            )
+        )
+    return Trace(
+        recipe=search.recipe.name,
+        share=search.share,
+        steps=trial_config(search.recipe, {}, search.share).steps,
+        seed=search.seed,
+        train_seed=TRAIN_SEED,
+        earthquakes=search.earthquakes,
+        validation_seed=VALIDATION_SEED,
+        reference=study.user_attrs.get("reference", ""),
+        reference_lost=study.user_attrs.get("reference_lost", 0),
+        version=shake_env.__version__,
+        machine=f"{platform.machine()}, {os.cpu_count()} cores",
+        space=knobs,
+        own={knob.name: own[knob.name] for knob in knobs},
+        trials=tuple(rows),
+    )

@@ -1,0 +1,88 @@
+"""How a search judges its trials: by their own evaluations, then on validation earthquakes."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.evaluation.bootstrap import cost_ratio
+from agents.experiments.controller_tuning import FAILED, VALIDATION_SEED
+from agents.experiments.recipes import ARENAS, Recipe
+from agents.progress import Progress
+from agents.run_directory import evaluations
+from agents.training.config import TrainConfig
+from baselines.registry import make_baseline, reference_name
+from shake_env.controller import Controller
+from shake_env.rollout import noise_earthquakes, rollout
+
+
+class PrunedError(Exception):
+    """The trial stands behind half of those before it."""
+
+
+class OutOfTimeError(Exception):
+    """The search has had its minutes; the trial goes on another time."""
+
+
+class Validation:
+    """The validation earthquakes of a recipe's arena, and the reference on them."""
+
+    def __init__(self, recipe: Recipe, earthquakes: int) -> None:
+        self.scenario = next(a.options for a in ARENAS if a.name == recipe.arena).build()
+        self.earthquakes = noise_earthquakes(self.scenario, earthquakes, VALIDATION_SEED)
+        self.reference = reference_name(self.scenario)
+        reference = make_baseline(self.reference, self.scenario)
+        self._rows, _ = rollout(reference, self.scenario, self.earthquakes)
+
+    @property
+    def reference_lost(self) -> int:
+        """Number of tables that the reference loses."""
+        return sum(row.broken_limit is not None for row in self._rows)
+
+    def judge(self, controller: Controller) -> dict[str, Any]:
+        """Return mean cost over the reference's, its 95 % interval, and the number of tables lost."""
+        rows, _ = rollout(controller, self.scenario, self.earthquakes)
+        lost = sum(row.broken_limit is not None for row in rows)
+        if not np.all(np.isfinite([row.cost for row in rows])):
+            return {"cost": FAILED, "low": FAILED, "high": FAILED, "lost": lost}
+        cost, low, high = cost_ratio(rows, self._rows)
+        return {"cost": cost, "low": low, "high": high, "lost": lost}
+
+
+class Judge:
+    """Tells Optuna how a run's own evaluations stand, and ends the run when it is to end.
+
+    What is told is the best so far, for that is the policy that a run keeps.
+    """
+
+    def __init__(self, trial: Any, config: TrainConfig, run: Path, until: float = math.inf) -> None:
+        self.trial, self.config, self.run, self.until = trial, config, run, until
+        self.best = math.inf
+        self._told: set[int] = set()
+
+    def __call__(self, told: Progress) -> None:
+        """Report what is new; raise if the run is to end before its steps are done."""
+        self.report()
+        if told.steps < told.total_steps and time.monotonic() > self.until:
+            raise OutOfTimeError
+
+    def report(self) -> None:
+        """Report the evaluations that are not reported yet.
+
+        Each is judged in its turn, those that a fast run made since the last report too, so that whether
+        a trial is ended does not go by the clock.
+        """
+        self.best = math.inf
+        for steps, ratio in sorted(dict(evaluations(self.run)).items()):
+            self.best = min(self.best, ratio if math.isfinite(ratio) else FAILED)
+            place = steps * self.config.evaluations // self.config.steps
+            if place in self._told:
+                continue
+            self.trial.report(self.best, place)
+            self._told.add(place)
+            if steps < self.config.steps and self.trial.should_prune():
+                raise PrunedError

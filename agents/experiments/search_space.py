@@ -1,0 +1,258 @@
+"""What a search may change about a recipe: typed ranges and choices that always make a valid run.
+
+A range always holds the recipe's own value, and a batch is given as the number of parts that a roll-out
+is cut into, so that it divides it whatever else is drawn. What a recipe claims is not searched: one that
+begins from nothing still does, and none is given a law that is the optimum already.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from typing import Any, get_args
+
+from agents.evaluation.protocol import optimal_cost
+from agents.experiments.recipes import Recipe
+from agents.policies.base_law import BaseLaw, base_law
+from agents.training.config import MOST_SEEDS, TrainConfig
+from shake_env.errors import ParameterError, ShakeError
+
+Value = float | int | str
+
+TRAIN_SEED = MOST_SEEDS - 1  # the last of a campaign's: most recipes never report a run with it
+FEWEST_EVALUATIONS = 5  # of a trial: what a pruner and the choice of the best policy go by
+
+
+@dataclass(frozen=True, kw_only=True)
+class Range:
+    """A number between two bounds, both possible."""
+
+    name: str
+    meaning: str  # with its unit
+    low: float
+    high: float
+    logarithmic: bool = True
+    whole: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.low < self.high or (self.logarithmic and self.low <= 0.0):
+            remedy = "low must lie below high, and above 0 where it is logarithmic"
+            raise ParameterError(self.name, (self.low, self.high), remedy)
+
+    def holding(self, value: float) -> Range:
+        """Return this range, wide enough for `value`."""
+        return replace(self, low=min(self.low, value), high=max(self.high, value))
+
+    def tidy(self, value: float) -> Value:
+        """Return a number as it is used: whole, or to three digits, which no training can tell apart."""
+        return round(value) if self.whole else float(f"{value:.3g}")
+
+    def suggest(self, trial: Any) -> Value:
+        """Return what an Optuna trial draws."""
+        if self.whole:
+            low, high = int(self.low), int(self.high)
+            return int(trial.suggest_int(self.name, low, high, log=self.logarithmic))
+        return self.tidy(trial.suggest_float(self.name, self.low, self.high, log=self.logarithmic))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """One of some values."""
+
+    name: str
+    meaning: str
+    values: tuple[Value, ...]
+
+    def holding(self, value: Value) -> Choice:
+        """Return this choice with `value` among its values, numbers in order."""
+        every = {*self.values, value}
+        return replace(self, values=tuple(sorted(every, key=lambda v: (isinstance(v, str), v))))
+
+    def tidy(self, value: Value) -> Value:
+        """Return the value as it is used."""
+        return value
+
+    def suggest(self, trial: Any) -> Value:
+        """Return what an Optuna trial draws."""
+        drawn: Value = trial.suggest_categorical(self.name, self.values)
+        return drawn
+
+
+Knob = Range | Choice
+
+_RATE = Range(name="learning_rate", meaning="learning rate [-]", low=1e-4, high=3e-3)
+_AUTHORITY = Range(
+    name="authority", meaning="authority [share of the current limit]", low=0.02, high=1.0
+)
+_SHORT = Range(name="horizon", meaning="horizon [s]", low=0.05, high=2.0)
+_EXPLORATION = Range(
+    name="initial_log_std",
+    meaning="log of initial exploration [-]",
+    low=-4.0,
+    high=-1.0,
+    logarithmic=False,
+)
+_ENTROPY = Range(
+    name="target_entropy", meaning="target entropy [nats]", low=-6.0, high=-1.0, logarithmic=False
+)
+_UPDATES = Range(
+    name="gradient_steps", meaning="gradient steps a period [-]", low=4, high=32, whole=True
+)
+_PROXIMAL: tuple[Knob, ...] = (
+    replace(_RATE, low=5e-5, high=2e-3),
+    _SHORT,
+    _EXPLORATION,
+    Range(
+        name="gae_lambda", meaning="lambda of the advantage [-]", low=0.8, high=0.99, logarithmic=False
+    ),
+    Range(name="clip_range", meaning="clip range [-]", low=0.1, high=0.4, logarithmic=False),
+    Choice(name="rollout_steps", meaning="roll-out [periods]", values=(64, 128, 256)),
+    Choice(name="minibatches", meaning="parts of a roll-out [-]", values=(1, 2, 4, 8, 16)),
+    _AUTHORITY,
+)
+_SOFT: tuple[Knob, ...] = (replace(_RATE, high=2e-3), _SHORT, _AUTHORITY, _UPDATES, _ENTROPY)
+_SPACES: dict[str, tuple[Knob, ...]] = {
+    "analytic": (
+        _RATE,
+        replace(_SHORT, low=0.5, high=20.0),
+        Range(name="window", meaning="window [periods]", low=32, high=384, whole=True),
+        Range(name="max_grad_norm", meaning="bound on the gradient [-]", low=2.0, high=200.0),
+        Choice(name="tables", meaning="tables side by side [-]", values=(32, 64, 128, 256)),
+        _AUTHORITY,
+        Choice(name="memory", meaning="width of the memory [-]", values=(32, 64, 96)),
+    ),
+    "ppo": _PROXIMAL,
+    "recurrent-ppo": _PROXIMAL,
+    "sac": _SOFT,
+    "tqc": _SOFT,
+    "td3": (
+        *_SOFT[:-1],
+        Range(
+            name="exploration",
+            meaning="exploration [share of the authority]",
+            low=0.02,
+            high=0.5,
+        ),
+    ),
+}
+
+
+def own_values(recipe: Recipe) -> dict[str, Value]:
+    """Return a recipe's own value of everything that a search may change about it."""
+    config, chosen = recipe.config, recipe.config.chosen
+    found: dict[str, Value] = {}
+    for knob in _SPACES[config.algorithm]:
+        if knob.name == "horizon":
+            found[knob.name] = config.lookahead
+        elif knob.name == "minibatches":
+            samples = chosen.tables * chosen.rollout_steps  # type: ignore[union-attr]
+            found[knob.name] = samples // chosen.batch_size  # type: ignore[union-attr]
+        else:
+            found[knob.name] = getattr(chosen, knob.name)
+    if not found.get("memory", 1):
+        del found["memory"]  # a policy without one is another kind of policy
+    found["base"] = chosen.base
+    if chosen.base == "none":
+        del found["authority"]  # of the whole current: less than all of it only takes from the policy
+    return found
+
+
+def space(recipe: Recipe) -> tuple[Knob, ...]:
+    """Return what a search may change about a recipe, each with the recipe's own value in it."""
+    own = own_values(recipe)
+    knobs = [
+        knob.holding(own[knob.name]) for knob in _SPACES[recipe.config.algorithm] if knob.name in own
+    ]  # type: ignore[arg-type]
+    if "minibatches" in own:
+        knobs = _dividing(knobs, recipe.config.chosen.tables, int(own["minibatches"]))
+    if len(laws := suitable_laws(recipe)) > 1:
+        knobs.append(Choice(name="base", meaning="law that is corrected", values=laws))
+    return tuple(knobs)
+
+
+def _dividing(knobs: Sequence[Knob], tables: int, parts: int) -> list[Knob]:
+    """Keep the lengths of roll-outs that the recipe's own number of parts divides, then vice versa."""
+    kept = []
+    lengths: tuple[Value, ...] = ()
+    for knob in knobs:
+        if isinstance(knob, Choice) and knob.name == "rollout_steps":
+            lengths = tuple(n for n in knob.values if tables * int(n) % parts == 0)
+            knob = replace(knob, values=lengths)
+        elif isinstance(knob, Choice) and knob.name == "minibatches":
+            fits = (p for p in knob.values if all(tables * int(n) % int(p) == 0 for n in lengths))
+            knob = replace(knob, values=tuple(fits))
+        kept.append(knob)
+    return kept
+
+
+@lru_cache(maxsize=32)  # a law behind an estimator takes a second to design
+def suitable_laws(recipe: Recipe) -> tuple[BaseLaw, ...]:
+    """Return the laws that a recipe's policy could correct, its own among them.
+
+    Only its own where it begins from nothing, which is a claim about the algorithm. Where there is an
+    analytic optimum the laws that reach it are left out: nothing would be learned.
+    """
+    chosen, scenario = recipe.config.chosen, recipe.config.scenario.build()
+    if chosen.base == "none":
+        return ("none",)
+    optimal = optimal_cost(scenario) is not None
+    found: list[BaseLaw] = []
+    for law in get_args(BaseLaw):
+        if law == "none" or (optimal and law != "flow" and law != chosen.base):
+            continue
+        try:
+            base_law(law, scenario)
+        except ShakeError:
+            continue  # it needs what the scenario does not show
+        found.append(law)
+    return tuple(found)
+
+
+def trial_config(recipe: Recipe, values: Mapping[str, Value], share: float) -> TrainConfig:
+    """Return the run of one trial: the recipe with these values, for a share of its steps.
+
+    The learning rate's decay and warm-up, which go by shares of a run, shrink with it.
+
+    Raises
+    ------
+    ParameterError
+        If the share is not within (0, 1], or leaves no step after the algorithm's warm-up.
+    """
+    if not 0.0 < share <= 1.0:
+        raise ParameterError("share", share, "is a share of the recipe's steps: above 0, at most 1")
+    config, own = recipe.with_seed(TRAIN_SEED), dict(values)
+    steps = math.ceil(share * config.steps)
+    warmup = getattr(config.chosen, "warmup_steps", 0)
+    if steps <= warmup:
+        remedy = f"a trial of {steps} steps ends within the {warmup} that run before the first gradient:"
+        raise ParameterError("share", share, f"{remedy} above {warmup / config.steps:.2g}")
+    horizon = float(own.pop("horizon", config.lookahead))
+    if parts := own.pop("minibatches", None):
+        tables = own.get("tables", config.chosen.tables)
+        rollout = own.get("rollout_steps", getattr(config.chosen, "rollout_steps", 1))
+        own["batch_size"] = int(tables) * int(rollout) // int(parts)
+    options = replace(config.chosen, **own)  # type: ignore[arg-type]
+    changed: dict[str, Any] = {
+        config.algorithm.replace("-", "_"): options,
+        "horizon": horizon,
+        "total_steps": steps,
+        "evaluations": max(FEWEST_EVALUATIONS, round(share * config.evaluations)),
+    }
+    return replace(config, **changed)
+
+
+def space_json(knobs: Sequence[Knob]) -> list[dict[str, Any]]:
+    """Return the space as plain JSON values."""
+    return [
+        {**asdict(k), "values": list(k.values)} if isinstance(k, Choice) else asdict(k) for k in knobs
+    ]
+
+
+def space_of(rows: Sequence[Mapping[str, Any]]) -> tuple[Knob, ...]:
+    """Return the space that :func:`space_json` made these values of."""
+    return tuple(
+        Choice(**{**row, "values": tuple(row["values"])}) if "values" in row else Range(**row)
+        for row in rows
+    )

@@ -1,0 +1,218 @@
+"""The trace of a recipe's search as a file, and as what a page shows of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from agents.experiments.search_space import Choice, Knob, Value, space_json, space_of
+from agents.reporting.markdown_blocks import put
+from agents.run_directory import read_json, write_text
+from shake_env.errors import ParameterError
+
+FORMAT = "shake-recipe-search-1"
+PREFIX = "recipe_"  # of a trace's file name in docs/results
+BEST = 4  # the best of so many trials that were judged are what the table calls the best quarter
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialRow:
+    """One trial: what was drawn and what came of it."""
+
+    number: int
+    state: str  # complete, pruned, failed
+    values: dict[str, Value]
+    cost: float | None  # [-] mean on the validation earthquakes over the reference's; None: not judged
+    low: float | None = None  # [-] its 95 % interval over earthquakes
+    high: float | None = None
+    lost: int | None = None  # tables that met a limit there; their cost is in the mean
+    ratio: float | None = None  # [-] best of the run's own evaluations
+    seconds: float = 0.0  # processor time
+    recipe: bool = False  # whether it is the recipe as it stands
+    code: str | None = None
+    failure: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trace:
+    """Every trial of a search, with what decided it."""
+
+    recipe: str  # ARENA/ALGORITHM
+    share: float  # of the recipe's steps that a trial trains for
+    steps: int
+    seed: int  # of the search
+    train_seed: int  # of every trial's training
+    earthquakes: int
+    validation_seed: int  # of the first of them
+    reference: str
+    reference_lost: int  # tables that the reference loses on them
+    version: str
+    machine: str
+    space: tuple[Knob, ...]
+    own: dict[str, Value]  # the recipe's values
+    trials: tuple[TrialRow, ...]
+
+    @property
+    def judged(self) -> list[TrialRow]:
+        """The trials that have a cost, the best first."""
+        return sorted((t for t in self.trials if t.cost is not None), key=_cost)
+
+    @property
+    def best(self) -> TrialRow | None:
+        """The best of them."""
+        return next(iter(self.judged), None)
+
+    @property
+    def start(self) -> TrialRow | None:
+        """The recipe as it stands, if it was judged."""
+        return next((t for t in self.judged if t.recipe), None)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the trace as plain JSON values."""
+        states = [t.state for t in self.trials]
+        counts = {state: states.count(state) for state in sorted(set(states))}
+        seconds = round(sum(t.seconds for t in self.trials), 1)
+        plain = {**asdict(self), "space": space_json(self.space)}
+        plain["trials"] = [asdict(t) for t in self.trials]
+        return {"format": FORMAT, "budget": {**counts, "processor_seconds": seconds}, **plain}
+
+
+def _cost(row: TrialRow) -> float:
+    return math.inf if row.cost is None else row.cost
+
+
+def write_trace(trace: Trace, file: str | PathLike[str]) -> None:
+    """Write a trace, a trial on each line; a reader never sees half of it.
+
+    Raises
+    ------
+    ParameterError
+        If no trial is done, or the file's name is not that of a JSON file.
+    """
+    file = Path(file)
+    if not trace.trials:
+        raise ParameterError("trials", 0, f"none is done of {trace.recipe}: nothing to keep")
+    if file.suffix != ".json":
+        raise ParameterError("keep", str(file), f"must be a file such as {PREFIX}linear_ppo.json")
+    plain = trace.to_json()
+    trials = ",\n".join(f"  {json.dumps(row)}" for row in plain.pop("trials"))
+    text = f'{json.dumps(plain, indent=1)[:-2]},\n "trials": [\n{trials}\n ]\n}}\n'
+    write_text(file, text)
+
+
+def read_trace(file: str | PathLike[str]) -> Trace:
+    """Return the trace that a file holds.
+
+    Raises
+    ------
+    ParameterError
+        If it holds none.
+    """
+    file = Path(file)
+    try:
+        values = read_json(file)
+        if values.pop("format") != FORMAT:
+            raise KeyError("format")
+        values.pop("budget")
+        rows = tuple(TrialRow(**row) for row in values.pop("trials"))
+        return Trace(**{**values, "space": space_of(values["space"]), "trials": rows})
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        remedy = f"holds no trace of a recipe's search ({error}): make it anew with --keep"
+        raise ParameterError("trace", str(file), remedy) from error
+
+
+def read_traces(folder: str | PathLike[str]) -> list[Trace]:
+    """Return the traces of a folder, in the order of their files' names."""
+    folder = Path(folder)
+    return [read_trace(file) for file in sorted(folder.glob(f"{PREFIX}*.json"))]
+
+
+def file_name(recipe: str) -> str:
+    """Return the name, without ending, of a recipe's trace and of its figure."""
+    return PREFIX + recipe.replace("/", "_")
+
+
+def markdown(trace: Trace, figures: str) -> str:
+    """Return a search as a section of a page: what was spent, what was found, a table and the figure.
+
+    Parameters
+    ----------
+    trace
+        What is shown.
+    figures
+        Folder of the figure, as a page names it.
+    """
+    states = [t.state for t in trace.trials]
+    counts = ", ".join(f"{states.count(state)} {state}" for state in sorted(set(states)))
+    hours = sum(t.seconds for t in trace.trials) / 3600.0
+    codes = ", ".join(sorted({t.code for t in trace.trials if t.code})) or "no git checkout"
+    lines = [
+        f"### {trace.recipe}",
+        "",
+        f"{len(trace.trials)} trials ({counts}) of {trace.steps:,} steps each, {trace.share:g} of "
+        f"the recipe's; {hours:.1f} hours of processor time. Search seed {trace.seed}, training seed "
+        f"{trace.train_seed}; {trace.earthquakes} validation earthquakes from seed "
+        f"{trace.validation_seed}, costs relative to `{trace.reference}`, which loses "
+        f"{trace.reference_lost} tables. Version {trace.version} ({codes}), {trace.machine}.",
+        "",
+    ]
+    judged = trace.judged
+    if not judged:
+        return "\n".join([*lines, "No trial came to be judged.", ""])
+    best, start = judged[0], trace.start
+    good = judged[: max(1, len(judged) // BEST)]
+    lines += [
+        f"| value | searched | recipe | best trial ({best.number}) | best quarter ({len(good)}) |",
+        "|---|---|---|---|---|",
+        f"| cost [95 %] | | {_judged(start)} | {_judged(best)} | to {_number(_cost(good[-1]))} |",
+        f"| tables lost | | {'-' if start is None else start.lost} | {best.lost} "
+        f"| {_span([t.lost or 0 for t in good])} |",
+    ]
+    for knob in trace.space:
+        drawn = [t.values[knob.name] for t in good]
+        span = _chosen(knob, drawn) if isinstance(knob, Choice) else _span(drawn)
+        lines.append(
+            f"| {knob.meaning} | {_searched(knob)} | {_number(trace.own[knob.name])} "
+            f"| {_number(best.values[knob.name])} | {span} |"
+        )
+    figure = f"{figures}/{file_name(trace.recipe)}.png"
+    caption = f"Cost of each trial of {trace.recipe} over each value that was searched"
+    return "\n".join([*lines, "", f"![{caption}]({figure})", ""])
+
+
+def _judged(row: TrialRow | None) -> str:
+    if row is None:
+        return "-"
+    return f"{_number(_cost(row))} [{_number(row.low)}, {_number(row.high)}]"
+
+
+def _number(value: Value | None) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "-" if value is None else str(value)
+
+
+def _span(values: Sequence[Value]) -> str:
+    low, high = min(values), max(values)  # type: ignore[type-var]
+    return _number(low) if low == high else f"{_number(low)} to {_number(high)}"
+
+
+def _searched(knob: Knob) -> str:
+    if isinstance(knob, Choice):
+        return ", ".join(map(_number, knob.values))
+    return f"{knob.low:g} to {knob.high:g}" + (", logarithmic" if knob.logarithmic else "")
+
+
+def _chosen(knob: Choice, drawn: Sequence[Value]) -> str:
+    return ", ".join(f"{_number(v)} ({drawn.count(v)})" for v in knob.values if v in drawn)
+
+
+def put_searches(page: str | PathLike[str], traces: Sequence[Trace], figures: str = "figures") -> None:
+    """Put all searches into a page, at ``<!-- recipe searches -->``; see `marked_page.put`."""
+    page = Path(page)
+    put(page, "recipe searches", "\n".join(markdown(trace, figures) for trace in traces))

@@ -1,0 +1,327 @@
+"""N tables in torch over a window of control periods, so that a cost can be differentiated through them.
+
+Ground, previews and sensor noise come from the environment's own numpy streams, computed ahead for the
+window and moved once. What the tables pass on from window to window is data: gradients end there. A long
+window can be followed in segments that are run again when its gradient is taken (`checkpointed`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from agents.learning.apg.gradient_checkpointing import checkpointed
+from agents.learning.apg.torch_plant import torch_model
+from agents.learning.vec_env import ShakeTableVecEnv
+from shake_env.dynamics.ground import GroundPeriod
+from shake_env.dynamics.linear import PeriodResponse, as_like
+from shake_env.model.plant import TABLE_DISPLACEMENT
+from shake_env.scenario.limits import OBSERVATION_BOUND
+from shake_env.scenario.observation import FLOOR_ACCELERATIONS
+from shake_env.simulation.sensors import SensorMemory
+from shake_env.simulation.transition import TableModel
+
+Kept = torch.Tensor | None
+# Observation (N, n) and the policy's memory (N, units) to action (N,), memory, and what to put aside.
+Act = Callable[[torch.Tensor, Kept], tuple[torch.Tensor, Kept, Kept]]
+
+RESULTS = 3  # of a segment: costs, codes and what was put aside; then come what stands behind it
+
+
+@dataclass(frozen=True)
+class Window:
+    """What N tables did over H control periods.
+
+    A lane whose episode ends before the window does (its motion ends, or it breaks a limit) is stepped
+    on, for nothing: past `ends` its rewards are zero.
+    """
+
+    rewards: torch.Tensor  # (H, N) times the environment's reward scale; carries the gradient
+    observation: torch.Tensor  # (N, n) at the window's end; carries the gradient
+    shown: torch.Tensor  # (N, n + e) with what a law behind an estimator believes behind it
+    ends: torch.Tensor  # (N,) control periods that count, 1 to H
+    terminated: torch.Tensor  # (N,) a limit was broken at `ends`
+    steps: NDArray[np.int_]  # (N,) `ends` in numpy
+    returns: NDArray[np.float64]  # (N,) sum of the true rewards
+    broken: NDArray[np.int_]  # (N,) code of the broken limit, or 0
+    state: torch.Tensor  # (N, states) at the window's end
+    memory: SensorMemory  # then
+    law_memory: Kept  # (N, M) of that law then, before it sees the observation
+    recalled: Kept  # (N, units) the policy's memory then
+    aside: Kept  # (H, N, ...) what the policy put aside
+
+
+@dataclass(frozen=True)
+class _Ahead:
+    """What is known of a window before it is followed, unchanged when a part of it is run again."""
+
+    model: TableModel
+    age: NDArray[np.int_]  # (N,) periods since the start of the episodes, at the window's start
+    ground: GroundPeriod  # (H, N, ...)
+    noise: torch.Tensor  # (H, N, s) of the sensors
+
+
+class TorchTables:
+    """The tables of an environment, followed in torch.
+
+    Parameters
+    ----------
+    env
+        Whose tables, streams, base law and reward scale they are.
+    device
+        Of the tensors.
+    dtype
+        Of the plant's state. In single precision the oil column's stiffness costs about four digits.
+    """
+
+    def __init__(
+        self,
+        env: ShakeTableVecEnv,
+        *,
+        device: torch.device | str = "cpu",
+        dtype: torch.dtype = torch.float64,
+    ) -> None:
+        self.env = env
+        self.like = torch.zeros(1, dtype=dtype, device=device)
+        self._base = as_like(env.base, self.like) if np.any(env.base) else None
+        self._law = None if env.law is None else env.law.like(self.like)
+        self._model: TableModel | None = None
+        sensors = env.scenario.sensing.sensors or ()
+        self._measures_floors = any(s.signal == FLOOR_ACCELERATIONS for s in sensors)
+
+    @property
+    def model(self) -> TableModel:
+        """The plants as they are drawn now."""
+        simulation = self.env.simulation
+        if self._model is None or simulation.fleet is not None:
+            self._model = torch_model(simulation.model, self.like)
+        return self._model
+
+    def roll(
+        self,
+        act: Act,
+        steps: int,
+        *,
+        recalled: Kept = None,
+        segment: int = 0,
+        parameters: Sequence[torch.Tensor] = (),
+    ) -> Window:
+        """Follow the tables over `steps` control periods; :meth:`commit` puts the environment there.
+
+        Parameters
+        ----------
+        act
+            Called once a control period, in order, with the observations.
+        steps
+            Control periods H of the window.
+        recalled
+            (N, units) the policy's memory at the window's start.
+        segment
+            Control periods after which only what the tables pass on is kept; a gradient runs each such
+            segment again. Memory is then that of one segment and of H / segment states, least near
+            sqrt(H), for one more forward pass. 0: everything is kept.
+        parameters
+            What `act` depends on and gradients are taken along; needed with segments.
+        """
+        simulation = self.env.simulation
+        ahead = _Ahead(self.model, simulation.step_count.copy(), *self._ahead(steps))
+        sensors = simulation.memory.like(self.like)
+        carried: tuple[Kept, ...] = (
+            as_like(simulation.state, self.like),
+            as_like(self.env.observation, self.like),
+            torch.ones(self.env.num_envs, dtype=torch.bool, device=self.like.device),
+            None if self._law is None else as_like(self.env.law_memory, self.like),
+            recalled,
+            *(getattr(sensors, f.name) for f in fields(SensorMemory)),
+        )
+        parts = []
+        for first in range(0, steps, segment or steps):
+            last = min(first + (segment or steps), steps)
+            follow = partial(self._follow, act, ahead, first, last)
+            # The last segment would be run again at once.
+            again = segment and last < steps and torch.is_grad_enabled()
+            part = checkpointed(follow, carried, parameters) if again else follow(*carried)
+            parts.append(part[:RESULTS])
+            carried = part[RESULTS:]
+        cost, codes, aside = (
+            None if column[0] is None else torch.cat(column) for column in zip(*parts, strict=True)
+        )
+        state, observation, _, law_memory, recalled, *left = carried
+        return self._window(
+            cost,
+            codes,
+            observation=observation,
+            shown=self._look(observation, law_memory, ahead.age + steps)[0],
+            state=state,
+            memory=SensorMemory(*left),
+            law_memory=law_memory,
+            recalled=recalled,
+            aside=aside,
+        )
+
+    def _follow(
+        self,
+        act: Act,
+        ahead: _Ahead,
+        first: int,
+        last: int,
+        state: torch.Tensor,
+        observation: torch.Tensor,
+        kept: torch.Tensor,
+        law_memory: Kept,
+        recalled: Kept,
+        *sensors: torch.Tensor,
+    ) -> tuple[Kept, ...]:
+        """Follow the tables from period `first` to before `last`.
+
+        Returns
+        -------
+        Stage costs (S, N), codes of broken limits (S, N), what the policy put aside (S, N, ...), and
+        what stands behind `last`, as it came in.
+        """
+        model, memory = ahead.model, SensorMemory(*sensors)
+        responses: list[PeriodResponse] = []
+        currents: list[torch.Tensor] = []
+        aside: list[Kept] = []
+        for t in range(first, last):
+            shown, known = self._look(observation, law_memory, ahead.age + t)
+            correction, recalled, put = act(shown, recalled)
+            aside.append(put)
+            action = self._action(correction, shown)
+            if self._law is not None:
+                law_memory = self._law.keep(known, action)
+            current = model.current_limit * action
+            period = _part(ahead.ground, t)
+            response = model.dynamics.control_step(state, current, period.drive)
+            responses.append(response)
+            currents.append(current)
+            # A diverged table is put to rest, so that no gradient meets an infinite number.
+            kept = kept & self._finite(model, response.state)
+            state = torch.where(kept[:, None], response.state, 0.0)
+            seen = replace(response, state=state)
+            floors = model.floors(state) if self._measures_floors else None
+            observation, memory = model.look(seen, floors, period, action, memory, ahead.noise[t])
+        stacked = PeriodResponse(
+            *(torch.stack([getattr(r, f.name) for r in responses]) for f in fields(PeriodResponse))
+        )
+        ground = _part(ahead.ground, slice(first, last))
+        outcome = model.judge(stacked, torch.stack(currents), ground)
+        return (
+            outcome.cost.total + outcome.soft_cost,
+            outcome.broken,
+            None if aside[0] is None else torch.stack(aside),
+            state,
+            observation,
+            kept,
+            law_memory,
+            recalled,
+            *(getattr(memory, f.name) for f in fields(SensorMemory)),
+        )
+
+    def commit(
+        self, window: Window
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Put the environment at a window's end; lanes whose episode ended begin their next one.
+
+        Returns
+        -------
+        Observations, which lanes have just begun, and infos, as :meth:`ShakeTableVecEnv.skip` returns.
+        """
+        memory = {f.name: _numpy(getattr(window.memory, f.name)) for f in fields(SensorMemory)}
+        seen = np.clip(_numpy(window.observation), -OBSERVATION_BOUND, OBSERVATION_BOUND)
+        return self.env.skip(
+            _numpy(window.state),
+            SensorMemory(**memory),
+            seen.astype(np.float32),
+            steps=window.steps,
+            returns=window.returns,
+            broken=window.broken,
+            law_memory=None if window.law_memory is None else _numpy(window.law_memory),
+        )
+
+    def _look(
+        self, observation: torch.Tensor, law_memory: Kept, age: NDArray[np.int_]
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return what the policy is shown at ages (N,) of the episodes, and what the law knows then."""
+        if self._law is None:
+            return observation, observation
+        known, believed = self._law.look(law_memory, observation, age)
+        return torch.cat([observation, believed], dim=-1), known
+
+    def _action(self, correction: torch.Tensor, shown: torch.Tensor) -> torch.Tensor:
+        """Return the action within [-1, 1]."""
+        action = self.env.authority * correction.to(self.like.dtype).clip(-1.0, 1.0)
+        if self._base is None:
+            return action
+        return (shown @ self._base + action).clip(-1.0, 1.0)
+
+    @staticmethod
+    @torch.no_grad()
+    def _finite(model: TableModel, state: torch.Tensor) -> torch.Tensor:
+        first = model.filter_states
+        bound = OBSERVATION_BOUND * model.observation_scale[first : first + model.controlled]
+        inside = state[:, : model.controlled].abs() <= bound
+        inside[:, TABLE_DISPLACEMENT] = True  # it may drift
+        return inside.all(dim=-1)
+
+    def _window(
+        self,
+        cost: torch.Tensor,
+        codes: torch.Tensor,
+        **stands: Any,
+    ) -> Window:
+        simulation, scale = self.env.simulation, self.env.reward_scale
+        broken = codes.cpu().numpy()  # (H, N)
+        steps, lanes = broken.shape
+        ever = broken != 0
+        breaks = np.where(ever.any(axis=0), ever.argmax(axis=0) + 1, steps + 1)
+        left = np.minimum(simulation.episode_steps - simulation.step_count, steps)
+        terminated = breaks <= left
+        ends = np.where(terminated, breaks, left)
+        last = (ends - 1, np.arange(lanes))
+        extra = np.zeros((steps, lanes))  # what broken limits cost: data, without a gradient
+        extra[last] = np.where(terminated, simulation.breaking_cost(simulation.step_count + ends), 0.0)
+        counts = np.arange(steps)[:, None] < ends
+        running = torch.as_tensor(counts, device=self.like.device)
+        total = torch.where(running, cost, 0.0) + as_like(extra, self.like)
+        return Window(
+            rewards=-scale * total,
+            ends=torch.as_tensor(ends, device=self.like.device),
+            terminated=torch.as_tensor(terminated, device=self.like.device),
+            steps=ends,
+            returns=-_numpy(total).sum(axis=0),
+            broken=np.where(terminated, broken[last], 0),
+            **stands,
+        )
+
+    def _ahead(self, steps: int) -> tuple[GroundPeriod, torch.Tensor]:
+        """Return ground (H, N, ...) and sensor noise (H, N, s) of the coming control periods."""
+        simulation = self.env.simulation
+        rows: dict[str, list[Any]] = {field.name: [] for field in fields(GroundPeriod)}
+        noise = []
+        for _ in range(steps):
+            period = simulation.excitation.advance()
+            for name, column in rows.items():
+                part = getattr(period, name)
+                column.append(None if part is None else part.copy())
+            noise.append(simulation.noise.advance().copy())
+        stacked = {
+            name: None if column[0] is None else np.stack(column) for name, column in rows.items()
+        }
+        return GroundPeriod(**stacked).like(self.like), as_like(np.stack(noise), self.like)
+
+
+def _part(ground: GroundPeriod, which: int | slice) -> GroundPeriod:
+    parts = (getattr(ground, field.name) for field in fields(GroundPeriod))
+    return GroundPeriod(*(None if part is None else part[which] for part in parts))
+
+
+def _numpy(tensor: torch.Tensor) -> NDArray[np.float64]:
+    array: NDArray[np.float64] = tensor.detach().cpu().numpy().astype(np.float64)
+    return array

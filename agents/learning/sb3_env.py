@@ -1,0 +1,238 @@
+"""Shake tables for a Stable-Baselines3 script of one's own, and the trained model beside LQR."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol, Unpack
+
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+
+from agents.learning.features import FeatureMap
+from agents.learning.training_scenario import (
+    EPISODE,
+    GAMMA,
+    STATE_LIMIT,
+    checked_action_scale,
+    horizon_of,
+    make_training_scenario,
+    reward_scale,
+    scenario_of,
+)
+from agents.learning.vec_env import ShakeTableVecEnv
+from baselines.registry import make_baseline, reference_name
+from shake_env.errors import ParameterError, ScenarioError
+from shake_env.rollout import noise_earthquakes, rollout
+from shake_env.scenario.overrides import Overrides, make_scenario
+from shake_env.scenario.scenario import Scenario
+
+TEST_SEED = 2_000_000  # far above the seeds that training uses
+
+
+class VecTrackingFeatures(VecEnvWrapper):
+    """Observations of a `VecEnv` as tracking errors; see ``agents.learning.wrappers.TrackingFeatures``.
+
+    Parameters
+    ----------
+    venv
+        Shake tables with their own observations.
+    scenario
+        What they simulate.
+    """
+
+    def __init__(self, venv: VecEnv, scenario: Scenario) -> None:
+        self.features = FeatureMap(scenario)
+        super().__init__(venv, self.features.space)
+
+    def reset(self) -> NDArray[np.float32]:
+        """Start an episode in every lane; return the features (N, features)."""
+        observation: Any = self.venv.reset()
+        return self.features(observation)
+
+    def step_wait(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Advance all tables; ``terminal_observation`` in an info becomes features, too."""
+        observation: Any
+        observation, reward, done, infos = self.venv.step_wait()
+        for lane in np.flatnonzero(done):
+            info = infos[lane]
+            info["terminal_observation"] = self.features(info["terminal_observation"])
+        return self.features(observation), reward, done, infos
+
+
+def make_sb3_env(
+    scenario: str | Scenario = "linear",
+    num_envs: int = 64,
+    *,
+    gamma: float = GAMMA,
+    action_scale: float = 1.0,
+    duration: float | None = EPISODE,
+    state_limit: float = STATE_LIMIT,
+    **overrides: Unpack[Overrides],
+) -> VecTrackingFeatures:
+    """Return N shake tables as one SB3 `VecEnv` that plain PPO can learn on.
+
+    Observations are tracking errors of the order of 1 (`agents.learning.features.feature_matrix`),
+    rewards are multiplied by :func:`agents.learning.training_scenario.reward_scale`, and an episode
+    without hope ends early (:func:`agents.learning.training_scenario.make_training_scenario`). The
+    ``episode`` record in an info, which SB3 logs as ``ep_rew_mean``, keeps the true return. Lane i of
+    ``seed(s)`` repeats ``agents.learning.wrappers.TrainingWrapper`` of an environment with
+    ``reset(seed=s + i)``.
+
+    Parameters
+    ----------
+    scenario
+        Name, Gymnasium id or scenario.
+    num_envs
+        Number of tables N.
+    gamma
+        Discount that the algorithm is given [-]; it sets the scale of the rewards.
+    action_scale
+        Valve current of action 1, as a fraction of the current limit.
+    duration
+        Duration of an episode of filtered noise [s]; None: the scenario's own.
+    state_limit
+        Where an episode ends in a scenario without limits [multiples of a state's rms].
+    **overrides
+        As for ``gymnasium.make("shake_env:ShakeTable-v0", ...)``.
+
+    Raises
+    ------
+    ScenarioError, ParameterError
+        If the scenario is unknown, or a number is outside its range.
+    """
+    if not isinstance(num_envs, int | np.integer) or num_envs < 1:
+        raise ParameterError("num_envs", num_envs, "must be a whole number of at least 1")
+    made = make_scenario(scenario_of(scenario), overrides)
+    horizon = horizon_of(gamma, made.control_period)
+    training = make_training_scenario(made, horizon=horizon, duration=duration, state_limit=state_limit)
+    tables = ShakeTableVecEnv(
+        training,
+        int(num_envs),
+        authority=checked_action_scale(action_scale),
+        reward_scale=reward_scale(training, gamma),
+    )
+    return VecTrackingFeatures(tables, training)
+
+
+class PredictsLikeSB3(Protocol):
+    """What an SB3 model offers; PPO, SAC and RecurrentPPO are such models."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[Any] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[Any], tuple[NDArray[Any], ...] | None]:
+        """Return actions (N, 1) for observations (N, n), and the memory."""
+
+
+class SB3Controller:
+    """An SB3 model that was trained on features, as a controller of the bare environment.
+
+    Parameters
+    ----------
+    model
+        Trained on `make_sb3_env`, or on an environment in ``agents.learning.wrappers.TrainingWrapper``.
+    scenario
+        What it drives; its motion may differ from training's.
+    action_scale
+        As in training.
+
+    Raises
+    ------
+    ScenarioError
+        If the model was trained on observations of another size.
+    """
+
+    def __init__(
+        self, model: PredictsLikeSB3, scenario: str | Scenario = "linear", *, action_scale: float = 1.0
+    ) -> None:
+        self.model = model
+        self.action_scale = checked_action_scale(action_scale)
+        self._features = FeatureMap(make_scenario(scenario_of(scenario)))
+        space, expected = getattr(model, "observation_space", None), self._features.space
+        if space is not None and space.shape != expected.shape:
+            raise ScenarioError(
+                "observation of the model",
+                space.shape,
+                f"the features of this scenario are {expected.shape}: train on make_sb3_env or on "
+                "agents.learning.wrappers.TrainingWrapper of the same scenario",
+            )
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[Any] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        """Return actions (..., 1) for observations (..., n) of the bare environment, and the memory."""
+        features = self._features(np.asarray(observation, dtype=np.float32))
+        action, state = self.model.predict(features, state, episode_start, deterministic)
+        return (self.action_scale * action).astype(np.float32), state
+
+
+@dataclass(frozen=True)
+class CostComparison:
+    """Mean stage costs of a controller and of the scenario's reference on the same earthquakes."""
+
+    cost: float  # [-]
+    reference_cost: float  # [-]
+    reference: str  # its name: "lqr" where the full state is observed
+    broken_limits: int  # episodes of the controller that a limit ended
+
+    @property
+    def ratio(self) -> float:
+        """Cost relative to the reference's [-]; 1 is LQR."""
+        return self.cost / self.reference_cost
+
+    def __str__(self) -> str:
+        """Return one line of text."""
+        return (
+            f"cost {self.cost:.4f}, {self.reference} {self.reference_cost:.4f}: ratio {self.ratio:.3f}, "
+            f"{self.broken_limits} episodes ended by a limit"
+        )
+
+
+def compare_with_reference(
+    model: PredictsLikeSB3,
+    scenario: str | Scenario = "linear",
+    *,
+    action_scale: float = 1.0,
+    earthquakes: int = 32,
+    seed: int = TEST_SEED,
+    **overrides: Unpack[Overrides],
+) -> CostComparison:
+    """Return the cost of a trained SB3 model beside that of the scenario's reference, LQR in ``linear``.
+
+    Both run the same filtered-noise earthquakes with the scenario's own limits and duration, without
+    exploration.
+
+    Parameters
+    ----------
+    model
+        Trained on `make_sb3_env`, or on an environment in ``agents.learning.wrappers.TrainingWrapper``.
+    scenario, overrides
+        What both drive, as for :func:`make_sb3_env`.
+    action_scale
+        As in training.
+    earthquakes
+        Number of earthquakes.
+    seed
+        Of the first; the others follow.
+    """
+    made = make_scenario(scenario_of(scenario), overrides)
+    motions = noise_earthquakes(made, earthquakes, seed)
+    name = reference_name(made)
+    rows, _ = rollout(SB3Controller(model, made, action_scale=action_scale), made, motions)
+    reference, _ = rollout(make_baseline(name, made), made, motions)
+    return CostComparison(
+        cost=float(np.mean([row.cost for row in rows])),
+        reference_cost=float(np.mean([row.cost for row in reference])),
+        reference=name,
+        broken_limits=sum(row.broken_limit is not None for row in rows),
+    )

@@ -1,0 +1,260 @@
+"""A native Stable-Baselines3 `VecEnv` over the batch kernel: no copies of environments, no workers."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
+
+from agents.policies.estimated_law import EstimatedLaw
+from shake_env.env import single_spaces
+from shake_env.model.parameters import FloatArray
+from shake_env.scenario.limits import OBSERVATION_BOUND, REASONS
+from shake_env.scenario.scenario import Scenario
+from shake_env.simulation.sensors import SensorMemory
+from shake_env.simulation.simulation import Simulation, StepResult, checked_action, episode_stream
+
+
+class ShakeTableVecEnv(VecEnv):
+    """N shake tables for SB3, autoreset at the end of each episode.
+
+    Lane i of ``seed(s)`` repeats ``ShakeTableEnv.reset(seed=s + i)``. A lane's info is empty while its
+    episode runs (building N dictionaries costs more than stepping N tables); at its end it holds
+    ``terminal_observation``, ``TimeLimit.truncated``, the ``episode`` record of SB3's Monitor (`r`
+    return, `l` steps) and, if a limit was broken, ``broken_limit``.
+
+    Parameters
+    ----------
+    scenario
+        What is simulated.
+    num_envs
+        Number of tables N.
+    base
+        (n,) linear law that the actions correct, fraction of the current limit per entry of the
+        observation; or one behind an estimator, and what that believes is then shown behind each
+        observation; None for no such law.
+    authority
+        What action 1 adds to it, as a fraction of the current limit.
+    reward_scale
+        Factor on the rewards that the learner gets; the ``episode`` record keeps the true ones.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        num_envs: int,
+        *,
+        base: FloatArray | EstimatedLaw | None = None,
+        authority: float = 1.0,
+        reward_scale: float = 1.0,
+    ) -> None:
+        self.scenario = scenario
+        self.law = base if isinstance(base, EstimatedLaw) else None
+        if isinstance(base, EstimatedLaw):  # its own action comes last of what it shows
+            self.base = np.eye(1, size := scenario.observation.size + base.shown, size - 1)[0]
+        else:
+            self.base = np.zeros(scenario.observation.size) if base is None else base
+        self._corrects = bool(np.any(self.base))
+        self.authority = authority
+        self.reward_scale = reward_scale
+        self.simulation = Simulation(scenario, num_envs)
+        self.render_mode = None
+        _, actions = single_spaces(scenario)
+        bound, shown = OBSERVATION_BOUND, (len(self.base),)
+        super().__init__(num_envs, spaces.Box(-bound, bound, shown, np.float32), actions)
+        self._streams: list[np.random.Generator | None] = [None] * num_envs
+        self._action = np.zeros(num_envs)
+        self._returns = np.zeros(num_envs)
+        self._observation = np.zeros((num_envs, scenario.observation.size), dtype=np.float32)
+        self._shown = np.zeros((num_envs, len(self.base)), dtype=np.float32)
+        self.law_memory = np.zeros((num_envs, self.law.size if self.law else 0))
+        self._known = self.law_memory  # what the law knows at this observation
+
+    def reset(self) -> NDArray[np.float32]:
+        """Start an episode in every lane; seeds given to ``seed`` are used once."""
+        for lane, seed in enumerate(self._seeds):
+            if seed is not None or self._streams[lane] is None:
+                self._streams[lane], _ = seeding.np_random(seed)
+        self._reset_seeds()
+        self._reset_options()
+        self._returns[:] = 0.0
+        self._observation = self._start(range(self.num_envs))
+        return self._look().copy()
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Take the actions (N, 1) of the next period."""
+        correction = checked_action(actions, (self.num_envs, 1))[:, 0]
+        self._action = self.authority * correction
+        if self._corrects:
+            self._action += self._shown @ self.base
+        if self.law is not None:
+            self.law_memory = self.law.keep(self._known, np.clip(self._action, -1.0, 1.0))
+
+    def step_wait(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Advance all tables; lanes whose episode ended come back with their next one begun."""
+        result = self.simulation.step(self._action)
+        observation = result.observation
+        self._returns += result.reward
+        done = result.terminated | result.truncated
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        self._observation = observation
+        shown = self._look()
+        if done.any():
+            lanes = np.flatnonzero(done)
+            for lane in lanes:
+                infos[lane] = self._final_info(result, int(lane))
+            self._returns[lanes] = 0.0
+            observation[lanes] = self._start(lanes.tolist())
+            shown = self._look()
+        return shown.copy(), (self.reward_scale * result.reward).astype(np.float32), done, infos
+
+    def _look(self) -> NDArray[np.float32]:
+        """Return what is shown (N, n): the observation, and behind it what the law believes."""
+        if self.law is None:
+            self._shown = self._observation
+            return self._shown
+        self._known, believed = self.law.look(
+            self.law_memory, self._observation.astype(float), self.simulation.step_count
+        )
+        bounded = np.clip(np.nan_to_num(believed), -OBSERVATION_BOUND, OBSERVATION_BOUND)
+        self._shown = np.concatenate([self._observation, bounded.astype(np.float32)], axis=-1)
+        return self._shown
+
+    def _final_info(self, result: StepResult, lane: int) -> dict[str, Any]:
+        return {
+            "terminal_observation": self._shown[lane].copy(),
+            "TimeLimit.truncated": bool(result.truncated[lane]),
+            **self._episode_info(lane, int(result.outcome.broken[lane])),
+        }
+
+    def _episode_info(self, lane: int, broken: int) -> dict[str, Any]:
+        info: dict[str, Any] = {
+            "episode": {
+                "r": float(self._returns[lane]),
+                "l": int(self.simulation.step_count[lane]),
+            },
+        }
+        if broken:
+            info["broken_limit"] = REASONS[broken - 1]
+        return info
+
+    def _start(self, lanes: Sequence[int]) -> NDArray[np.float32]:
+        self.law_memory[list(lanes)] = 0.0
+        streams = [episode_stream(stream) for lane in lanes if (stream := self._streams[lane])]
+        return self.simulation.start(lanes, streams)
+
+    @property
+    def observation(self) -> NDArray[np.float32]:
+        """What the tables show now, (N, n), without what a law believes of it."""
+        return self._observation.copy()
+
+    def skip(
+        self,
+        state: FloatArray,
+        memory: SensorMemory,
+        observation: NDArray[np.float32],
+        *,
+        steps: NDArray[np.int_],
+        returns: FloatArray,
+        broken: NDArray[np.int_],
+        law_memory: FloatArray | None = None,
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Go on from where the tables were taken by a copy of them, as learning through the plant does.
+
+        The copy has read the ground and the sensors' noise of this environment on the way.
+
+        Parameters
+        ----------
+        state, memory, observation
+            Of all tables, at the end.
+        steps
+            (N,) control periods of each lane's episode that were run.
+        returns
+            (N,) sum of the true rewards over them.
+        broken
+            (N,) code of the limit that ended the episode, or 0.
+        law_memory
+            (N, M) of the law behind an estimator, before it sees the observation.
+
+        Returns
+        -------
+        observation, done, infos
+            Lanes whose episode ended come back with their next one begun; the info of such a lane holds
+            its ``episode`` record and ``broken_limit``.
+        """
+        simulation = self.simulation
+        simulation.state, simulation.memory = state, memory
+        simulation.step_count[:] += steps
+        self._returns += returns
+        done = (broken != 0) | (simulation.step_count >= simulation.episode_steps)
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        lanes = np.flatnonzero(done)
+        self._observation = observation.astype(np.float32)
+        for lane in lanes:
+            infos[lane] = self._episode_info(int(lane), int(broken[lane]))
+        self._returns[lanes] = 0.0
+        if law_memory is not None:
+            self.law_memory = law_memory
+        if len(lanes):
+            self._observation[lanes] = self._start(lanes.tolist())
+        return self._look().copy(), done, infos
+
+    def stagger(self) -> None:
+        """Shorten the first episode of each lane, so that they come to stand at different places."""
+        steps = self.simulation.episode_steps
+        shares = (np.arange(self.num_envs) + 1.0) / self.num_envs
+        steps[:] = np.maximum(np.ceil(steps * shares), 1).astype(int)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return everything that `restore` needs to go on exactly."""
+        return {
+            "simulation": self.simulation.snapshot(),
+            "streams": copy.deepcopy(self._streams),
+            "returns": self._returns.copy(),
+            "observation": self._observation.copy(),
+            "law_memory": self.law_memory.copy(),
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go on from a `snapshot` of a VecEnv of the same scenario and size."""
+        self.simulation.restore(snapshot["simulation"])
+        self._streams = copy.deepcopy(snapshot["streams"])
+        self._returns = snapshot["returns"].copy()
+        self._observation = snapshot["observation"].copy()
+        self.law_memory = snapshot.get("law_memory", self.law_memory).copy()
+        self._look()
+
+    def close(self) -> None:
+        """Release nothing: there are no workers."""
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """Return an attribute, the same for every lane."""
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of the batch; lanes have none of their own."""
+        setattr(self, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method of the batch once, and return its result for every lane asked for."""
+        result = getattr(self, method_name)(*method_args, **method_kwargs)
+        return [result for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
+        """Return True for `Monitor` only: an info at an episode's end holds the record that it writes.
+
+        ``evaluate_policy`` then reports true returns, whatever `reward_scale` is.
+        """
+        return [issubclass(wrapper_class, Monitor) for _ in self._get_indices(indices)]

@@ -1,0 +1,120 @@
+"""The controllers that a list of names stands for, with what a reader has to know about each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from agents.policies.policy_file import PolicyFile
+from agents.policies.registry import SHIPPED, named_controller, require_controller, values_for
+from agents.policies.training_distance import training_warning
+from baselines.catalogue import BASELINES
+from baselines.registry import ParameterValues, reference_name
+from baselines.searched_lqg import FOUND
+from baselines.tuned_values import TunedValues
+from shake_env.controller import Controller
+from shake_env.errors import ParameterError, PolicyFileError, ShakeError
+from shake_env.rollout import Earthquake
+from shake_env.scenario.scenario import Scenario
+
+CLAIRVOYANT = "clairvoyant"  # what regret is counted from, see `baselines.lqr.oracle`
+ALL = "all"  # stands for every classical controller that suits the scenario
+
+
+@dataclass(frozen=True)
+class ControllerSet:
+    """Controllers by name, the reference first."""
+
+    controllers: dict[str, Controller] = field(default_factory=dict)
+    values: dict[str, ParameterValues] = field(default_factory=dict)  # of those that have parameters
+    skipped: list[str] = field(default_factory=list)  # what was left out, and why
+    warnings: list[str] = field(default_factory=list)  # policies far from what they were trained on
+
+
+def named_controllers(
+    names: Sequence[str],
+    scenario: Scenario,
+    earthquakes: Sequence[Earthquake] | None = None,
+    tuned: TunedValues | None = None,
+) -> ControllerSet:
+    """Return the controllers that names stand for.
+
+    Parameters
+    ----------
+    names
+        As `named_controller` takes them; ``all`` for every law of `baselines.catalogue` that suits the
+        scenario and what an independent search has found for it; ``clairvoyant``. The reference, which
+        costs are relative to, is always among them.
+    scenario
+        What they drive. What ``all`` or ``policy`` stand for is left out where it does not suit; what is
+        named raises.
+    earthquakes
+        One a lane; needed by controllers that repeat their tests beforehand.
+    tuned
+        Tuned values of a file that was named; see `baselines.registry.parameter_values`.
+
+    Raises
+    ------
+    ScenarioError
+        If a named controller does not suit the scenario.
+    PolicyFileError
+        If a named policy cannot be read or does not fit the scenario.
+    """
+    result = ControllerSet()
+
+    def add(name: str) -> None:
+        if name in result.controllers:
+            return
+        values = values_for(name, scenario, tuned)
+        parameters = None if values is None else values.parameters
+        controller = named_controller(name, scenario, earthquakes, parameters)
+        result.controllers[name] = controller
+        if values is not None:
+            result.values[name] = values
+        if isinstance(controller, PolicyFile) and (text := training_warning(controller, scenario)):
+            result.warnings.append(f"{name} {text}")
+
+    add(reference_name(scenario))
+    for name in names:
+        if name == ALL:
+            for each in BASELINES:
+                try:
+                    add(each)
+                except ShakeError as error:  # it does not suit the scenario, or its design fails there
+                    result.skipped.append(f"{each} ({error})")
+            for each in FOUND:
+                searched = values_for(each, scenario, tuned)
+                if searched is not None and searched.source != "rule":
+                    add(each)
+        elif name == CLAIRVOYANT:
+            continue  # runs on a scenario of its own: `compare` sees to it
+        else:
+            require_controller(name, ALL, CLAIRVOYANT)
+            try:
+                add(name)
+            except PolicyFileError as error:
+                if name not in SHIPPED:
+                    raise
+                result.skipped.append(f"the shipped {name} ({error})")
+    return result
+
+
+def require_names(names: Sequence[str]) -> None:
+    """Raise ParameterError where no controller is named."""
+    if not names:
+        raise ParameterError("controllers", "none", "name at least one, such as lqr, or all")
+
+
+def describe_values(values: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return in a sentence where parameter values (as JSON) come from; empty: there are none."""
+    by_source: dict[str, list[str]] = {}
+    for name, each in values.items():
+        by_source.setdefault(each["description"], []).append(name)
+    parts = [f"{', '.join(names)}: {source}" for source, names in by_source.items()]
+    return f"Parameter values: {'; '.join(parts)}." if parts else ""
+
+
+def values_to_json(values: Mapping[str, ParameterValues]) -> dict[str, Any]:
+    """Return the parameter values and their sources as plain JSON values."""
+    return {name: each.to_json() for name, each in values.items()}

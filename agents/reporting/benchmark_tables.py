@@ -1,0 +1,53 @@
+"""New."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from agents.evaluation.results import cost_text
+from agents.reporting.markdown_blocks import put
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """Return a result as a Markdown table."""
+    head = (
+        f"| controller | cost / {result['reference']} [95 %] | accel. % rms, peak | shear % rms, peak "
+        "| lag ms | spectrum % | Arias | drift | energy | ended | us |"
+    )
+    lines = [head, "|---|---|---|---|---|---|---|---|---|---|---|"]
+    for row in result["rows"]:
+        cost = cost_text(row["relative_cost"], row["relative_cost_low"], row["relative_cost_high"])
+        lag = "-" if row["delay"] is None else f"{1e3 * row['delay']:.1f}"
+        lines.append(
+            f"| {row['controller']} | {cost} | {100 * row['acceleration_rms_error']:.1f}, "
+            f"{100 * row['acceleration_peak_error']:.0f} | {100 * row['base_shear_rms_error']:.1f}, "
+            f"{100 * row['base_shear_peak_error']:.0f} | {lag} | {100 * row['spectral_error']:.0f} | "
+            f"{row['arias_ratio']:.2f} | {row['drift_ratio']:.2f} | {row['energy_ratio']:.2f} | "
+            f"{row['broken_limits']} | {_microseconds(row['decision_time'])} |"
+        )
+    number = result["rows"][0]["earthquakes"]
+    lines.append("")
+    for row in result["rows"]:
+        if row["damage"] is not None:
+            lines.append(
+                f"`{row['controller']}` takes {row['tests']} tests of each earthquake, the one that "
+                f"counts included; before that one the specimen has dissipated {row['damage']:.1f} "
+                "times the energy of a perfect test (median)."
+            )
+    seed = "recorded" if result["seed"] is None else f"seeds from {result['seed']}"
+    lines.append(f"{number} earthquakes, {seed}, version {result['version']}, {result['machine']}.")
+    return "\n".join(lines) + "\n"
+
+
+def _microseconds(seconds: float | None) -> str:
+    return "-" if seconds is None else f"{1e6 * seconds:.0f}"
+
+
+def put_tables(page: str | PathLike[str], results: Sequence[dict[str, Any]]) -> None:
+    """Put the tables of results into a page, each at ``<!-- bench NAME -->``; see `marked_page.put`."""
+    page = Path(page)
+    for result in results:
+        put(page, f"bench {result['scenario']}", markdown(result), end=result["scenario"])

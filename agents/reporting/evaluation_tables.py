@@ -1,0 +1,98 @@
+"""Results of the protocol as JSON files, and as the tables of a Markdown page."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from agents.reporting.markdown_blocks import has_place, put
+
+COLUMNS = (
+    "controller", "runs", "cost / {yardstick}", "IQM", "worst 5 %", "cost / {reference}",
+    "P(better than {reference})", "shear % rms", "accel. % rms", "failures", "us",
+)  # fmt: skip
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """Return a result as a Markdown table with what is needed to read it."""
+    same = result["yardstick"] == result["reference"]
+    head = [column.format(**result) for column in COLUMNS]
+    names = ["drift_error", "energy_error", "regret_closed", "optimality"]
+    shown = [name for name in names if any(row[name] is not None for row in result["rows"])]
+    titles = {"regret_closed": "regret closed %", "optimality": "cost / J*"}
+    head[8:8] = [titles.get(name, f"{name.removesuffix('_error')} off % (median)") for name in shown]
+    if same:
+        del head[5]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for row in ranked(result):
+        cells = [
+            row["controller"],
+            str(row["runs"]) if row["sources"] else "-",
+            _cost(row["relative_cost"]),
+            _cost(row["interquartile_mean"]),
+            _cost(row["worst_twentieth"]),
+            *([] if same else [_cost(row["reference_cost"])]),
+            interval(row["probability_of_improvement"], 2),
+            interval(row["base_shear_rms_error"], 2, 100.0),
+            *(interval(row[n], 3 if n == "optimality" else 1, _scale(n)) for n in shown),
+            interval(row["acceleration_rms_error"], 1, 100.0),
+            f"{row['failures']} of {row['episodes']}",
+            "-" if row["decision_time"] is None else f"{1e6 * row['decision_time']:.0f}",
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    seed = "recorded" if result["seed"] is None else f"seeds from {result['seed']}"
+    optimum = result["optimal_cost"]
+    codes = dict.fromkeys(str(row["code"]) for row in result["rows"])
+    machines = dict.fromkeys(str(row["machine"]) for row in result["rows"])
+    lines += [
+        "",
+        f"{len(result['earthquakes'])} earthquakes, {seed}; version {result['version']} "
+        f"({', '.join(codes)}), {'; '.join(machines)}."
+        + ("" if optimum is None else f" J* = {optimum:.6g}."),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _cost(found: dict[str, float]) -> str:
+    return interval(found, 3 if found["high"] < 10.0 else 1)
+
+
+def _scale(name: str) -> float:
+    return 1.0 if name == "optimality" else 100.0
+
+
+def ranked(result: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows by cost, the yardstick first."""
+    first = result["yardstick"]
+    return sorted(result["rows"], key=lambda r: (r["controller"] != first, r["relative_cost"]["value"]))
+
+
+def interval(found: dict[str, float] | None, digits: int, scale: float = 1.0) -> str:
+    """Return ``value [low, high]``; the value alone where there is no interval, a dash for None."""
+    if found is None:
+        return "-"
+    value, low, high = (f"{scale * found[key]:.{digits}f}" for key in ("value", "low", "high"))
+    return value if low == value == high else f"{value} [{low}, {high}]"
+
+
+def put_tables(page: str | PathLike[str], results: dict[str, dict[str, Any]]) -> list[str]:
+    """Put the tables of results into a page, each at ``<!-- evaluation NAME -->``.
+
+    Returns
+    -------
+    Names of results that the page has no place for.
+
+    Raises
+    ------
+    ParameterError
+        If a place has no end; see `marked_page.put`.
+    """
+    page = Path(page)
+    missing = []
+    for name, result in results.items():
+        if has_place(page, f"evaluation {name}"):
+            put(page, f"evaluation {name}", markdown(result), end=name)
+        else:
+            missing.append(name)
+    return missing

@@ -1,0 +1,268 @@
+"""The card beside a policy: made from its file's header and from results of the protocol."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from matplotlib.ticker import FormatStrFormatter, NullFormatter
+
+from agents.figure_style import BLUE, GREY, figure_style, new_figure
+from agents.policies.policy_file import PolicyFile, digest, load_policy
+from agents.reporting.evaluation_tables import interval
+from agents.reporting.robustness_tables import findings, read_robustness
+from agents.scenario_options import given_options
+from shake_env.errors import ParameterError
+
+ROWS = (
+    ("relative_cost", "cost / {yardstick}", 3, 1.0),
+    ("interquartile_mean", "interquartile mean of that", 3, 1.0),
+    ("worst_twentieth", "worst 5 % of that", 3, 1.0),
+    ("reference_cost", "cost / {reference}", 3, 1.0),
+    ("probability_of_improvement", "probability of costing less than {reference}", 2, 1.0),
+    ("optimality", "cost / J*", 3, 1.0),
+    ("regret_closed", "regret closed [%]", 1, 100.0),
+    ("base_shear_rms_error", "base-shear error, rms [%]", 2, 100.0),
+    ("acceleration_rms_error", "acceleration error, rms [%]", 1, 100.0),
+    ("drift_error", "peak drift off by, median [%]", 1, 100.0),
+    ("energy_error", "energy off by, median [%]", 1, 100.0),
+)
+
+
+def write_card(
+    file: str | PathLike[str],
+    results: Sequence[Path] = (),
+    limits: str = "",
+    robustness: Path | None = None,
+) -> list[Path]:
+    """Write the card of a policy file beside it, and return the files written.
+
+    Parameters
+    ----------
+    file
+        Policy file.
+    results
+        Result files of the protocol. Each has to hold a row that was made of this file, among others
+        or alone.
+    limits
+        Further sentences on limits of use.
+    robustness
+        Result of ``shake robustness`` that holds this policy; None: none was made.
+
+    Raises
+    ------
+    ParameterError
+        If a result has no row of this policy.
+    PolicyFileError
+        If the policy cannot be read.
+    """
+    file = Path(file)
+    policy, sha = load_policy(file), digest(file)
+    found = [(result, _row(result, path, sha)) for path, result in _read(results)]
+    unlike = [] if robustness is None else robustness_of(robustness, sha)
+    if robustness is not None and not unlike:
+        raise ParameterError(
+            "robustness", str(robustness), "does not hold this policy: run shake robustness on it"
+        )
+    written = [file.with_suffix(".md")]
+    figure = None
+    if len(policy.card.get("curve", ())) > 1:
+        figure = file.with_suffix(".png")
+        draw_curve(policy.card["curve"], figure)
+        written.append(figure)
+    text = card_text(policy, file, sha, found, figure, limits, unlike)
+    written[0].write_text(text, encoding="utf-8")
+    return written
+
+
+def robustness_of(file: str | PathLike[str], sha: str) -> list[str]:
+    """Return what a robustness result says of the policy with this SHA-256; nothing if it lacks it."""
+    file = Path(file)
+    result = read_robustness(file)
+    for each in result["controllers"]:
+        if each["source"] is not None and each["source"]["sha256"] == sha:
+            return findings(result, each["name"])
+    return []
+
+
+def _read(results: Sequence[Path]) -> list[tuple[Path, dict[str, Any]]]:
+    try:
+        return [(path, json.loads(path.read_text(encoding="utf-8"))) for path in results]
+    except (OSError, json.JSONDecodeError) as error:
+        raise ParameterError("result", str(results), f"cannot be read ({error})") from error
+
+
+def _row(result: dict[str, Any], path: Path, sha: str) -> dict[str, Any]:
+    for row in result.get("rows", ()):
+        if any(source["sha256"] == sha for source in row["sources"]):
+            chosen: dict[str, Any] = row
+            return chosen
+    raise ParameterError("result", str(path), "holds no row of this policy: run shake evaluate on it")
+
+
+def card_text(
+    policy: PolicyFile,
+    file: str | PathLike[str],
+    sha: str,
+    found: Sequence[tuple[dict[str, Any], dict[str, Any]]],
+    figure: Path | None,
+    limits: str,
+    unlike: Sequence[str] = (),
+) -> str:
+    """Return the card as Markdown.
+
+    Parameters
+    ----------
+    policy, file, sha
+        The policy, where it lies and its SHA-256.
+    found
+        Results, and their row of this policy.
+    figure
+        Its learning curve, or None.
+    limits
+        Further sentences on limits of use.
+    unlike
+        Sentences on tables and motions that it was not trained on.
+    """
+    file = Path(file)
+    card = policy.card
+    config = card.get("config", {})
+    scenario = given_options(config.get("scenario", {}))
+    name = scenario.pop("scenario", "unknown")
+    changed = ", ".join(f"{key} = {value}" for key, value in scenario.items())
+    memory = "none" if policy.memory is None else f"{policy.memory.kind}, {policy.memory.units} units"
+    widths = "x".join(str(len(bias)) for bias in policy.biases[:-1])
+    twice = ", one and its mirror image" if config.get("mirrored") else ""
+    lines = [
+        f"# {file.stem}",
+        "",
+        "| | |",
+        "|---|---|",
+        f"| scenario | {name}{f' with {changed}' if changed else ''} |",
+        f"| algorithm | {config.get('algorithm', 'unknown')} |",
+        f"| made by | `{card.get('command', 'unknown')}` |",
+        *_first(card),
+        f"| seed | {config.get('seed', 'unknown')} |",
+        f"| code | version {card.get('version', 'unknown')} ({card.get('code') or 'unknown'}) |",
+        f"| observation | {policy.observation_size} numbers at {card.get('control_rate', 0.0):g} Hz |",
+        f"| network | {widths} {policy.activation}{twice}, memory: {memory} |",
+        f"| base law | {config_base(config)}, corrected by {policy.authority:g} of the limit |",
+        f"| SHA-256 | `{sha}` |",
+        "",
+    ]
+    trained = card.get("evaluation", {})
+    if trained:
+        lines += [
+            f"Training took {trained['steps']:,} control periods, {trained['seconds'] / 60.0:.1f} "
+            "minutes in the last process. Its best evaluation, whose policy this is, came after "
+            f"{trained['best_steps']:,}: {trained['cost_ratio']:.4f} of the reference's cost on the "
+            "evaluation earthquakes of training.",
+            "",
+        ]
+    if figure is not None:
+        lines += [f"![Learning curve]({figure.name})", ""]
+    for result, row in found:
+        lines += _evaluation(result, row, sha)
+    if not found:
+        lines += ["Not evaluated on test earthquakes yet.", ""]
+    if unlike:
+        lines += [
+            "## Where it was not trained",
+            "",
+            f"One thing changed at a time, everything else as on `{name}`, and pairs "
+            "(`shake robustness`, docs/robustness.md).",
+            "",
+            *(f"- {sentence}" for sentence in unlike),
+            "",
+        ]
+    lines += ["## Limits of use", "", *_limits(policy, name, found, limits), ""]
+    return "\n".join(lines)
+
+
+def _first(card: dict[str, Any]) -> list[str]:
+    """Return a row on the policy that training began with, if it did."""
+    first = card.get("first")
+    return [f"| began with | `{first['sha256']}`, made by `{first['command']}` |"] if first else []
+
+
+def config_base(config: dict[str, Any]) -> str:
+    """Return the base law that a configuration's policy corrects."""
+    options = config.get(str(config.get("algorithm", "")).replace("-", "_"), {})
+    return str(options.get("base", "unknown"))
+
+
+def _evaluation(result: dict[str, Any], row: dict[str, Any], sha: str) -> list[str]:
+    where = result.get("arena", result["scenario"])
+    lines = [
+        f"## Evaluation on {where}",
+        "",
+        f"{len(result['earthquakes'])} test earthquakes, code {row['code']}; 95 % intervals.",
+        "",
+    ]
+    if row["runs"] > 1:
+        place = [source["sha256"] for source in row["sources"]].index(sha)
+        lines += [
+            f"The figures are of all {row['runs']} seeds of the recipe; this one's cost relative to "
+            f"{result['yardstick']} is {row['run_costs'][place]:.4f}.",
+            "",
+        ]
+    lines += ["| figure | value |", "|---|---|"]
+    for key, title, digits, scale in ROWS:
+        repeated = key == "reference_cost" and result["reference"] == result["yardstick"]
+        if row[key] is not None and not repeated:
+            lines.append(f"| {title.format(**result)} | {interval(row[key], digits, scale)} |")
+    lines.append(f"| episodes that a limit ended | {row['failures']} of {row['episodes']} |")
+    lines.append(f"| one decision | {1e6 * row['decision_time']:.0f} us |")
+    return [*lines, ""]
+
+
+def _limits(
+    policy: PolicyFile,
+    name: str,
+    found: Sequence[tuple[dict[str, Any], dict[str, Any]]],
+    limits: str,
+) -> list[str]:
+    rate = policy.card.get("control_rate", 0.0)
+    lines = [
+        f"- For `{name}` as trained: {policy.observation_size} observations in that order and scale, at "
+        f"{rate:g} Hz. Another observation or rate is refused; another plant is not noticed.",
+    ]
+    homogeneous = policy.memory is None and policy.activation == "relu" and policy.output == "clip"
+    if homogeneous and not any(bias.any() for bias in policy.biases):
+        lines.append(
+            "- The actor has no biases: half the motion gets half the current, within the feature clip."
+        )
+    else:
+        lines.append("- Amplitudes other than those of training were not learned.")
+    for result, row in found:
+        if row["failures"]:
+            where = result.get("arena", result["scenario"])
+            lines.append(f"- On {where} a limit ended {row['failures']} of {row['episodes']} episodes.")
+    if limits:
+        lines.append(f"- {limits}")
+    return lines
+
+
+def draw_curve(curve: Sequence[Sequence[float]], file: str | PathLike[str]) -> None:
+    """Draw cost ratio over steps of training."""
+    file = Path(file)
+    with figure_style():
+        figure = new_figure(5.0, 2.6)
+        axes = figure.subplots()
+        steps = [row[0] / 1e6 for row in curve]
+        axes.plot(steps, [row[1] for row in curve], color=BLUE, marker="o", markersize=3.0)
+        axes.axhline(1.0, color=GREY, linewidth=1.0, linestyle=(0, (4, 2)))
+        ratios = [row[1] for row in curve]
+        if max(ratios) > 3.0:
+            axes.set_yscale("log")
+            axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+            # Within a decade the ticks between its ends are all there is to read.
+            narrow = max(ratios) < 10.0 * min(ratios)
+            between = FormatStrFormatter("%g") if narrow else NullFormatter()
+            axes.yaxis.set_minor_formatter(between)
+        axes.set_xlabel("control periods of all tables [million]")
+        axes.set_ylabel("cost / reference [-]")
+        figure.savefig(file, metadata={"Software": None})

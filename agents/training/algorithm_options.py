@@ -1,0 +1,162 @@
+"""Typed options of the learning algorithms; the defaults learn on two cores."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from agents.policies.base_names import BaseLaw
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProximalOptions:
+    """What PPO takes, with a memory or without."""
+
+    tables: int = 64
+    """Tables stepped side by side."""
+    rollout_steps: int = 128
+    """Control periods a table runs between two updates; gradients of a memory look back no further."""
+    batch_size: int = 2048
+    """Samples of one gradient step; with a memory whole sequences."""
+    epochs: int = 10
+    """Passes over the data of one roll-out."""
+    learning_rate: float = 3e-4
+    """Initial learning rate; it falls linearly to zero."""
+    gae_lambda: float = 0.9
+    """Lambda of the advantage estimate [-]."""
+    clip_range: float = 0.2
+    """Clip range of the probability ratio [-]."""
+    base: BaseLaw = "none"
+    """Law that the policy corrects: none (from scratch); on the full state flow (the current that the
+    table's own velocity uses), lqr or preview-lqr; lqg or lqg-accommodating, behind an estimator whose
+    beliefs the policy is then shown as well; free, what a search found for the scenario."""
+    authority: float = 1.0
+    """What the policy can add to that law, as a fraction of the current limit."""
+    initial_log_std: float = -3.0
+    """Log of the initial exploration, relative to the authority. White action noise is expensive (2 % of
+    LQR's current adds 10 % to its cost), but the update's trust region moves the policy by a share of
+    it, so that too little of it learns slowly."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOOptions(ProximalOptions):
+    """Proximal policy optimisation (Schulman et al., 2017) as SB3 implements it."""
+
+    scale_free: bool = True
+    """Whether the actor has no biases, so that half the motion gets half the current. Right for a linear
+    plant; friction and limits need biases."""
+    critic_first: float = 0.0
+    """Share of the run in which the critic alone learns. A policy that is gone on from has none, and
+    advantages against a critic that knows nothing spoil it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecurrentPPOOptions(ProximalOptions):
+    """PPO with a long short-term memory, as sb3-contrib implements it."""
+
+    epochs: int = 5
+    """Passes over the data of one roll-out."""
+    units: int = 64
+    """Width of the memory; actor and critic have one each."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OffPolicyOptions:
+    """What algorithms that learn from remembered transitions take."""
+
+    tables: int = 64
+    """Tables stepped side by side."""
+    batch_size: int = 256
+    """Samples of one gradient step."""
+    gradient_steps: int = 16
+    """Gradient steps of the critics for each control period of all the tables."""
+    learning_rate: float = 3e-4
+    """Initial learning rate; it falls linearly to zero."""
+    buffer_size: int = 400_000
+    """Transitions remembered."""
+    warmup_steps: int = 20_000
+    """Control periods that the untrained policy runs before the first gradient step."""
+    tau: float = 0.005
+    """Rate at which target networks follow [-]."""
+    base: BaseLaw = "flow"
+    """Law that the policy corrects, as PPO's; from nothing, the critic cannot tell good currents from
+    bad before the tables are lost."""
+    authority: float = 0.2
+    """What the policy can add to that law, as a fraction of the current limit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SACOptions(OffPolicyOptions):
+    """Soft actor-critic (Haarnoja et al., 2018) as SB3 implements it."""
+
+    target_entropy: float = -2.0
+    """Entropy that exploration settles at [nats], relative to the authority."""
+    initial_log_std: float = -1.5
+    """Log of the initial exploration, relative to the authority."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TD3Options(OffPolicyOptions):
+    """Twin delayed deep deterministic policy gradient (Fujimoto et al., 2018) as SB3 implements it."""
+
+    policy_delay: int = 2
+    """Gradient steps of the critics for one of the actor."""
+    exploration: float = 0.1
+    """Standard deviation of the white noise on the action, relative to the authority."""
+    target_noise: float = 0.1
+    """Standard deviation of the noise that smooths the critics' targets, relative to the authority."""
+    target_noise_clip: float = 0.25
+    """Bound on that noise, relative to the authority."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TQCOptions(SACOptions):
+    """Truncated quantile critics (Kuznetsov et al., 2020) as sb3-contrib implements it."""
+
+    gradient_steps: int = 8
+    """Gradient steps for each control period of all the tables; each costs about twice SAC's."""
+    quantiles: int = 25
+    """Quantiles of the return that a critic estimates."""
+    critics: int = 2
+    """Number of critics."""
+    dropped: int = 2
+    """Highest quantiles of each critic that targets leave out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnalyticOptions:
+    """Analytic policy gradient: back-propagation through the plant (see `analytic_gradient`)."""
+
+    tables: int = 128
+    """Tables followed side by side."""
+    window: int = 96
+    """Control periods that a gradient looks back through. What they leave out is the specimen's ringing:
+    a shorter window costs base shear first."""
+    learning_rate: float = 1e-3
+    """Highest learning rate; it rises over the warm-up and then falls linearly to zero."""
+    warmup: float = 0.05
+    """Share of the run over which the learning rate rises. The first gradients all point one way, and at
+    full rate may carry the loop's gain past what is stable."""
+    max_grad_norm: float = 20.0
+    """Bound on the gradient's norm, in stage costs (at unit amplitude) per unit of weight: of the size
+    of what is usual, so that a window in which a loop rang counts no more than others."""
+    terminal_value: bool = False
+    """Whether a learned value stands at the window's end (SHAC). A window outlasts most of what a table
+    remembers, and a critic's slope is less certain than its value: for short windows."""
+    td_lambda: float = 0.95
+    """Lambda of the critic's targets [-], with a terminal value."""
+    memory: int = 0
+    """Width of the policy's gated recurrent unit; 0: a policy without memory."""
+    checkpoint: int = 0
+    """Control periods of a segment that is run again when the gradient is taken instead of being kept,
+    for windows too long to be kept whole; 0: none is. Memory is least near the window's square root."""
+    scale_free: bool = True
+    """Whether the actor has no biases (see PPO's); without effect on a policy with memory."""
+    base: BaseLaw = "none"
+    """Law that the policy corrects, as PPO's."""
+    authority: float = 1.0
+    """What the policy can add to that law, as a fraction of the current limit."""
+    precision: Literal["float64", "float32"] = "float64"
+    """Precision of the plant's state."""
+    device: str = "cpu"
+    """Torch device. On a CPU a gradient takes tens of milliseconds."""

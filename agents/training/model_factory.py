@@ -1,0 +1,258 @@
+"""SB3 models as a `TrainConfig` describes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from sb3_contrib import TQC, RecurrentPPO
+from stable_baselines3 import PPO, SAC, TD3
+from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.policies import ActorCriticPolicy
+
+from agents.learning.apg.algorithm import AnalyticPolicyGradient
+from agents.learning.features import LinearFeatures, feature_matrix, feature_sizes
+from agents.learning.networks import (
+    DirectPolicy,
+    GRUPolicy,
+    LSTMPolicy,
+    ScaleFreeDirectPolicy,
+    ScaleFreePolicy,
+)
+from agents.learning.vec_env import ShakeTableVecEnv
+from agents.training.algorithm_options import TD3Options, TQCOptions
+from agents.training.config import TrainConfig
+from shake_env.scenario.scenario import Scenario
+
+# By whether an actor has no biases, and whether it has a direct path.
+_ACTORS: dict[tuple[bool, bool], type[ActorCriticPolicy]] = {
+    (False, False): ActorCriticPolicy,
+    (False, True): DirectPolicy,
+    (True, False): ScaleFreePolicy,
+    (True, True): ScaleFreeDirectPolicy,
+}
+
+
+class _Warm:
+    """Warms up with the algorithm's own untrained policy.
+
+    SB3 begins with actions uniform over the whole valve, which throw every table off within a second.
+    """
+
+    def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
+        return super()._sample_action(0, action_noise, n_envs)  # type: ignore[misc]
+
+
+class WarmSAC(_Warm, SAC):
+    """SAC that warms up with its own untrained policy."""
+
+
+class WarmTD3(_Warm, TD3):
+    """TD3 that warms up with its own untrained policy and exploration."""
+
+
+class WarmTQC(_Warm, TQC):
+    """TQC that warms up with its own untrained policy."""
+
+
+class CriticFirstPPO(PPO):
+    """PPO whose actor stands still for the first share `critic_first` of a run."""
+
+    critic_first = 0.0
+
+    def train(self) -> None:
+        """Learn from a roll-out; see PPO."""
+        if not hasattr(self, "_moving"):
+            layers = (self.policy.mlp_extractor.policy_net, self.policy.action_net)
+            actor = [parameter for layer in layers for parameter in layer.parameters()]
+            # A scale-free actor's biases never move.
+            self._moving = [p for p in (*actor, self.policy.log_std) if p.requires_grad]
+        waits = 1.0 - self._current_progress_remaining < self.critic_first
+        for parameter in self._moving:
+            parameter.requires_grad_(not waits)
+        super().train()
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "_moving"]
+
+
+Model = PPO | SAC | TD3 | TQC | RecurrentPPO | AnalyticPolicyGradient
+ALGORITHMS: dict[str, type[Model]] = {
+    "ppo": CriticFirstPPO,
+    "sac": WarmSAC,
+    "td3": WarmTD3,
+    "tqc": WarmTQC,
+    "recurrent-ppo": RecurrentPPO,
+    "analytic": AnalyticPolicyGradient,
+}
+
+
+class LinearDecay:
+    """A learning rate that falls linearly to zero."""
+
+    def __init__(self, initial: float) -> None:
+        self.initial = initial
+
+    def __call__(self, progress_remaining: float) -> float:
+        """Return the rate when the share `progress_remaining` of the run is left."""
+        return self.initial * progress_remaining
+
+
+class WarmUp:
+    """A learning rate that rises linearly over the first share of a run, then falls linearly to zero."""
+
+    def __init__(self, highest: float, share: float) -> None:
+        self.highest, self.share = highest, share
+
+    def __call__(self, progress_remaining: float) -> float:
+        """Return the rate when the share `progress_remaining` of the run is left."""
+        return self.highest * min(progress_remaining, (1.0 - progress_remaining) / self.share)
+
+
+def new_model(
+    config: TrainConfig, scenario: Scenario, env: ShakeTableVecEnv, *, direct: bool = False
+) -> Model:
+    """Return an untrained model on `env`; `scenario` is what it will be used on.
+
+    With `direct` PPO's actor has a linear path beside its network, as the gradient's has.
+    """
+    policy: dict[str, Any] = {
+        "net_arch": list(config.hidden),
+        # The linear optimum is a linear law, which rectifiers can represent exactly and tanh cannot.
+        "activation_fn": torch.nn.ReLU,
+        "features_extractor_class": LinearFeatures,
+        "features_extractor_kwargs": {
+            "matrix": feature_matrix(scenario, env.law is not None).tolist(),
+            "sizes": feature_sizes(scenario, env.law is not None).tolist(),
+        },
+    }
+    gamma = config.discount(scenario.control_period)
+    if config.algorithm == "ppo":
+        ppo = config.ppo
+        proximal = CriticFirstPPO(
+            _ACTORS[ppo.scale_free, direct],
+            env,
+            n_steps=ppo.rollout_steps,
+            batch_size=ppo.batch_size,
+            n_epochs=ppo.epochs,
+            learning_rate=LinearDecay(ppo.learning_rate),
+            gae_lambda=ppo.gae_lambda,
+            clip_range=ppo.clip_range,
+            gamma=gamma,
+            seed=config.seed,
+            policy_kwargs={**policy, "log_std_init": ppo.initial_log_std},
+            device="cpu",
+        )
+        proximal.critic_first = ppo.critic_first
+        return proximal
+    if config.algorithm == "recurrent-ppo":
+        return _recurrent(config, policy, env, gamma)
+    if config.algorithm == "analytic":
+        return _analytic(config, policy, env, gamma)
+    return _off_policy(config, policy, env, gamma)
+
+
+def _off_policy(
+    config: TrainConfig, policy: dict[str, Any], env: ShakeTableVecEnv, gamma: float
+) -> SAC | TD3 | TQC:
+    chosen = {"sac": config.sac, "td3": config.td3, "tqc": config.tqc}[config.algorithm]
+    common: dict[str, Any] = {
+        "batch_size": chosen.batch_size,
+        "gradient_steps": chosen.gradient_steps,
+        "learning_rate": LinearDecay(chosen.learning_rate),
+        "buffer_size": chosen.buffer_size,
+        "learning_starts": chosen.warmup_steps,
+        "tau": chosen.tau,
+        "gamma": gamma,
+        "seed": config.seed,
+        "device": "cpu",
+    }
+    if isinstance(chosen, TD3Options):
+        model = WarmTD3(
+            "MlpPolicy",
+            env,
+            policy_delay=chosen.policy_delay,
+            action_noise=NormalActionNoise(np.zeros(1), np.full(1, chosen.exploration)),
+            target_policy_noise=chosen.target_noise,
+            target_noise_clip=chosen.target_noise_clip,
+            policy_kwargs=policy,
+            **common,
+        )
+        with torch.no_grad():  # as SAC's actor below
+            model.actor.mu[-2].weight.mul_(0.01)
+            model.actor.mu[-2].bias.zero_()
+        model.actor_target.load_state_dict(model.actor.state_dict())
+        return model
+    entropy: dict[str, Any] = {"target_entropy": chosen.target_entropy, "ent_coef": "auto_0.001"}
+    soft: SAC | TQC
+    if isinstance(chosen, TQCOptions):
+        quantiles = {"n_quantiles": chosen.quantiles, "n_critics": chosen.critics}
+        soft = WarmTQC(
+            "MlpPolicy",
+            env,
+            top_quantiles_to_drop_per_net=chosen.dropped,
+            policy_kwargs={**policy, **quantiles},
+            **entropy,
+            **common,
+        )
+    else:
+        soft = WarmSAC("MlpPolicy", env, policy_kwargs=policy, **entropy, **common)
+    with torch.no_grad():  # for PPO's reason the actor starts with a small spread about zero
+        soft.actor.log_std.weight.mul_(0.01)
+        soft.actor.log_std.bias.fill_(chosen.initial_log_std)
+        soft.actor.mu.weight.mul_(0.01)
+        soft.actor.mu.bias.zero_()
+    return soft
+
+
+def _recurrent(
+    config: TrainConfig, policy: dict[str, Any], env: ShakeTableVecEnv, gamma: float
+) -> RecurrentPPO:
+    chosen = config.recurrent_ppo
+    return RecurrentPPO(
+        LSTMPolicy,
+        env,
+        n_steps=chosen.rollout_steps,
+        batch_size=chosen.batch_size,
+        n_epochs=chosen.epochs,
+        learning_rate=LinearDecay(chosen.learning_rate),
+        gae_lambda=chosen.gae_lambda,
+        clip_range=chosen.clip_range,
+        gamma=gamma,
+        seed=config.seed,
+        policy_kwargs={
+            **policy, "log_std_init": chosen.initial_log_std, "lstm_hidden_size": chosen.units
+        },
+        device="cpu",
+    )  # fmt: skip
+
+
+def _analytic(
+    config: TrainConfig, policy: dict[str, Any], env: ShakeTableVecEnv, gamma: float
+) -> AnalyticPolicyGradient:
+    analytic = config.analytic
+    kind: type[ActorCriticPolicy]
+    if analytic.memory:
+        kind, policy = GRUPolicy, {**policy, "units": analytic.memory}
+    else:
+        kind = _ACTORS[analytic.scale_free, True]
+    # Exact gradients need no long averages: short ones forget a window in which the loop rang. SB3's
+    # epsilon of 1e-5 is of the size of the gradient's entries near the optimum: Adam would stop there.
+    policy["optimizer_kwargs"] = {"betas": (0.7, 0.95), "eps": 1e-8}
+    policy["log_std_init"] = -3.0  # for PPO to go on from
+    return AnalyticPolicyGradient(
+        kind,
+        env,
+        learning_rate=WarmUp(analytic.learning_rate, analytic.warmup),
+        window=analytic.window,
+        gamma=gamma,
+        td_lambda=analytic.td_lambda,
+        max_grad_norm=analytic.max_grad_norm * (1.0 - gamma),  # rewards are scaled by that, too
+        terminal_value=analytic.terminal_value,
+        plant_dtype=analytic.precision,
+        checkpoint=analytic.checkpoint,
+        seed=config.seed,
+        policy_kwargs=policy,
+        device=analytic.device,
+    )

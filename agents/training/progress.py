@@ -1,0 +1,166 @@
+"""What a person sees while a policy learns: in the terminal, and an example for tensorboard."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from agents.figure_style import CONTROLLERS, TARGET, figure_style, new_figure
+from agents.progress import Progress, display
+from shake_env.simulation.trajectory import Trajectory
+
+BARS = "▁▂▃▄▅▆▇█"
+WIDTH = 40  # characters of the bar and, at most, of the evaluations
+WINDOW = 5.0  # [s] of the example, about the largest base shear
+ENOUGH = 30.0  # [s] of training before a guess of the time left is worth anything
+
+
+class TrainingView:
+    """Shows a run's progress on standard error; call it with each `Progress`.
+
+    Where standard error is no terminal it writes a line every few seconds, and the last state in full.
+    A command with ``--quiet`` shows nothing.
+
+    Parameters
+    ----------
+    title
+        What is learned, in a few words.
+    console
+        Where it is shown; None: standard error.
+    """
+
+    def __init__(self, title: str, console: Console | None = None) -> None:
+        self.title = title
+        self._first: Progress | None = None
+        self._pause = display.suspended()
+        self._log = console is None and not display.console.is_terminal
+        self._quiet = console is None and display.quiet
+        self._live = Live(console=console or display.console, refresh_per_second=2)
+
+    def __enter__(self) -> Self:
+        self._pause.__enter__()
+        if not self._quiet:
+            self._live.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        problem: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if not self._quiet:
+            self._live.__exit__(kind, problem, trace)
+        self._pause.__exit__(kind, problem, trace)
+
+    def __call__(self, told: Progress) -> None:
+        """Show where the run stands."""
+        if self._first is None:
+            self._first = told
+        if self._log and display.due():
+            ratio = f", cost / {told.reference} {told.evaluations[-1]:.3f}" if told.evaluations else ""
+            display.note(f"{self.title}: step {told.steps} of {told.total_steps}{ratio}")
+        self._live.update(self.render(told))
+
+    def render(self, told: Progress) -> Group:
+        """Return what is shown for a `Progress`."""
+        rows = Table.grid(padding=(0, 2))
+        rows.add_column(style="bold")
+        rows.add_column()
+        bar = ProgressBar(told.total_steps, told.steps, width=WIDTH)
+        share = min(1.0, told.steps / told.total_steps)
+        rows.add_row(self.title, bar)
+        rows.add_row("done", f"{100 * share:.0f} %, {self._time_left(told)}")
+        if told.evaluations:
+            last, best = told.evaluations[-1], min(told.evaluations)
+            rows.add_row(
+                f"cost / {told.reference}",
+                f"{last:.3f} now, {best:.3f} at best (1: as good; less: better)",
+            )
+            shown = told.evaluations[-WIDTH:]
+            rows.add_row("evaluations", f"{sparkline(shown)}  from {told.evaluations[0]:.3g}")
+        if told.errors is not None:
+            acceleration, shear = told.errors
+            rows.add_row(
+                "errors",
+                f"acceleration {100 * acceleration:.1f} %, base shear {100 * shear:.1f} % of target",
+            )
+        rows.add_row("that is", Text(meaning(told)))
+        return Group(rows)
+
+    def _time_left(self, told: Progress) -> str:
+        first = self._first or told
+        done, seconds = told.steps - first.steps, told.seconds - first.seconds
+        if told.steps >= told.total_steps:
+            return f"took {_duration(told.seconds)}"
+        if done <= 0 or (seconds < ENOUGH and done < 0.05 * told.total_steps):
+            return "time left: not known yet"
+        return f"about {_duration((told.total_steps - told.steps) * seconds / done)} left"
+
+
+def sparkline(values: Sequence[float]) -> str:
+    """Return values as bars, tallest for the largest, on a logarithmic scale."""
+    logs = np.log(np.maximum(np.asarray(values, dtype=float), 1e-12))
+    low, high = float(np.min(logs)), float(np.max(logs))
+    share = (logs - low) / (high - low) if high > low else np.zeros(len(logs))
+    return "".join(BARS[round(float(each) * (len(BARS) - 1))] for each in share)
+
+
+def meaning(told: Progress) -> str:
+    """Return in words what the evaluations say."""
+    if not told.evaluations:
+        return "the untrained policy, about to be evaluated for the first time"
+    last, best = told.evaluations[-1], min(told.evaluations)
+    if last > 2.0 * best and len(told.evaluations) > 2:
+        return "worse than it was: it may recover; if it does not, lower the learning rate"
+    if last > 3.0:
+        return "hardly controlled yet, as is usual early on; wait for the evaluations to fall"
+    if last > 1.1:
+        return f"it works, and costs {100 * (last - 1.0):.0f} % more than the reference"
+    if last >= 0.99:
+        return "about as good as the reference: what is left to gain is small"
+    return f"better than the reference by {100 * (1.0 - last):.1f} % of its cost"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    if seconds < 5400.0:
+        return f"{seconds / 60.0:.0f} min"
+    return f"{seconds / 3600.0:.1f} h"
+
+
+def example_figure(trajectory: Trajectory, title: str) -> Figure:
+    """Return a figure of a policy's strongest seconds: both quantities with their targets."""
+    time, target = trajectory.time, trajectory.reference_base_shear
+    centre = time[int(np.argmax(np.abs(target)))]
+    start = min(max(centre - 0.4 * WINDOW, 0.0), max(time[-1] - WINDOW, 0.0))
+    inside = (time >= start) & (time <= start + WINDOW)
+    curve = {**CONTROLLERS[0], "marker": "", "linewidth": 1.3}
+    with figure_style():
+        figure = new_figure(7.0, 4.2)
+        upper, lower = figure.subplots(2, 1, sharex=True)
+        pairs = (
+            (upper, trajectory.target_acceleration, trajectory.table_acceleration, 1.0),
+            (lower, target, trajectory.base_shear, 1e-3),
+        )
+        for panel, wanted, achieved, unit in pairs:
+            panel.plot(time[inside], unit * wanted[inside], **TARGET, label="target")
+            panel.plot(time[inside], unit * achieved[inside], **curve, label="policy")
+        upper.set_ylabel("acceleration [m/s²]")
+        lower.set_ylabel("base shear [kN]")
+        lower.set_xlabel("time [s]")
+        upper.set_title(title, loc="left")
+        figure.legend(*upper.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+    return figure

@@ -1,0 +1,193 @@
+"""LQG: a full-state law fed by a Kalman filter, with the loop delay predicted away.
+
+`EstimatedState` turns what a scenario shows into the observation of the same table fully seen and
+without delay (`full_state`), as it will be when the present command begins to act, and hands that to
+any controller designed there. For a linear table this is optimal for a linear-quadratic law: with a
+delay of whole physics steps the law's problem is the same, shifted in time, and its state is replaced
+by its conditional mean (certainty equivalence and separation: Wonham, SIAM J. Control 6, 1968; Astrom
+and Wittenmark, Computer-Controlled Systems, 1997, ch. 11).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.estimation.estimator_model import EstimatorModel, ModelError
+from baselines.estimation.ground_estimate import ReferenceRecursion, foresight
+from baselines.estimation.kalman import KalmanFilter
+from baselines.lqr.sampled import lqr
+from shake_env.controller import Controller
+from shake_env.model.parameters import FloatArray
+from shake_env.scenario.observation import Sensing
+from shake_env.scenario.scenario import Scenario
+
+
+def full_state(scenario: Scenario) -> Scenario:
+    """Return the scenario as a full-state law is designed on it: all seen, no delay, no last action.
+
+    The preview keeps its length. Where the loop delay is no whole number of the preview's spacings, its
+    samples become those of the physics step, so that what is known on the present grid is not lost
+    between the samples of the shifted one; what is not known is filled in by its conditional mean.
+    """
+    shown = scenario.observation
+    spacing = shown.preview_spacing
+    if scenario.delay % spacing:
+        spacing = 1
+    preview = Sensing(
+        preview=scenario.sensing.preview,
+        preview_spacing=spacing * scenario.physics_step if shown.preview_samples else None,
+    )
+    uncertainty = replace(scenario.uncertainty, delay=None)
+    return replace(scenario, sensing=preview, delay=0.0, uncertainty=uncertainty)
+
+
+@dataclass(frozen=True)
+class EstimateMemory:
+    """What an `EstimatedState` knows of its tables from one period to the next; observation units."""
+
+    table: FloatArray  # (..., n) the filter's estimate
+    actions: FloatArray  # (..., commands + 1) own actions, oldest first
+    ground: FloatArray  # (..., w) x_W as last shown
+    reference: FloatArray  # (..., 2 stories) x~_S
+    age: NDArray[np.intp]  # (...) periods since the episode's start
+    inner: tuple[Any, ...] | None  # the law's own memory
+
+
+class EstimatedState:
+    """A full-state law on measured signals, or on a delayed table: a `Controller`.
+
+    Parameters
+    ----------
+    scenario
+        What is shown: sensors or the full state, a preview, the last action. Where the last action is
+        shown it is taken for what the table was given, so that the estimate stays right behind a
+        supervisor that changes commands.
+    law
+        A controller designed on ``full_state(scenario)``.
+    estimator
+        The filter; None: `KalmanFilter.of` the scenario with the default `ModelError`.
+
+    Raises
+    ------
+    ScenarioError
+        If the equations are not the corrected ones.
+    NumericalError
+        If the filter's Riccati equation has no solution.
+    """
+
+    def __init__(
+        self, scenario: Scenario, law: Controller, estimator: KalmanFilter | None = None
+    ) -> None:
+        if estimator is None:
+            estimator = KalmanFilter.of(EstimatorModel.of(scenario, ModelError.of(scenario)))
+        self.estimator = estimator
+        self.law = law
+        self._shown = scenario.observation
+        self._layout = scenario.plant.layout
+        self.recursion = ReferenceRecursion.of(scenario)
+        self.foresight = foresight(scenario, full_state(scenario))[0]
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: tuple[Any, ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
+        """Return the action (..., 1) for an observation (..., n), and ``(EstimateMemory,)``."""
+        seen = np.asarray(observation, dtype=float)
+        memory = self._present(seen, None if state is None else state[0], episode_start)
+        believed = self._look_ahead(seen, memory).astype(np.float32)
+        action, inner = self.law.predict(believed, memory.inner, episode_start, deterministic)
+        given = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
+        actions = np.concatenate([memory.actions[..., 1:], given], axis=-1)
+        return action, (replace(memory, actions=actions, inner=inner),)
+
+    def _present(
+        self,
+        seen: FloatArray,
+        last: EstimateMemory | None,
+        episode_start: NDArray[np.bool_] | None,
+    ) -> EstimateMemory:
+        """Return what is known at this instant, this observation included; actions as before it."""
+        model, lead, layout = self.estimator.model, seen.shape[:-1], self._layout
+        ground = seen[..., layout.ground]
+        full = self._shown.sensing.full_state
+        readings = seen[..., layout.controlled if full else self._shown.readings]
+        if last is None:
+            table, reference = np.zeros((*lead, model.order)), np.zeros((*lead, 2 * layout.stories))
+            actions, age, inner = np.zeros((*lead, model.commands + 1)), np.zeros(lead, np.intp), None
+        else:
+            actions, inner = last.actions, last.inner
+            if self._shown.sensing.last_action:
+                shown = seen[..., self._shown.last_action]
+                actions = np.concatenate([actions[..., :-1], shown], axis=-1)
+            table = self.estimator.predict(last.table, actions)
+            reference = self.recursion.advance(last.reference, last.ground, ground)
+            age = last.age + 1
+            if episode_start is not None:
+                fresh = np.reshape(np.asarray(episode_start, dtype=bool), lead)
+                table, reference, actions = (
+                    np.where(fresh[..., None], 0.0, part) for part in (table, reference, actions)
+                )
+                age = np.where(fresh, 0, age)
+        table = self.estimator.correct(table, readings, age)
+        if full:
+            reference = seen[..., layout.reference]
+        return EstimateMemory(table, actions, ground, reference, age, inner)
+
+    def _look_ahead(self, seen: FloatArray, memory: EstimateMemory) -> FloatArray:
+        """Return the full-state observation (..., m) of the instant at which this action acts."""
+        model, w = self.estimator.model, self._layout.filter_states
+        preview = seen[..., self._shown.preview]
+        known = np.concatenate([memory.ground, memory.reference, preview], axis=-1)
+        exogenous = known @ self.foresight.T
+        under_way = np.concatenate([memory.table, memory.actions[..., 1:]], axis=-1)
+        table = under_way @ model.ahead.T
+        believed: FloatArray = np.concatenate([exogenous[..., :w], table, exogenous[..., w:]], axis=-1)
+        return believed
+
+
+def estimated(
+    scenario: Scenario,
+    make: Callable[[Scenario], Controller],
+    error: ModelError | None = None,
+    *,
+    accommodate: float = 0.0,
+) -> EstimatedState:
+    """Return the controller that `make` designs on the full state, fed by an estimator.
+
+    Parameters
+    ----------
+    scenario
+        What the controller is shown.
+    make
+        Designs a full-state law: `baselines.lqr.sampled.lqr`, or any other.
+    error
+        What the filter believes of the model; None: `ModelError.of` the scenario.
+    accommodate
+        Share of the estimated disturbances that is taken out of what the law is shown: 0 none, 1 all.
+        Against friction this helps a law that holds the table's place, and takes from one that does
+        not what kept it there.
+    """
+    chosen = ModelError.of(scenario) if error is None else error
+    estimator = KalmanFilter.of(EstimatorModel.of(scenario, chosen, accommodate=accommodate))
+    return EstimatedState(scenario, make(full_state(scenario)), estimator)
+
+
+def lqg(scenario: Scenario, model_error: float = 0.02) -> EstimatedState:
+    """Return the sampled LQR of a scenario's nominal model, fed by its Kalman filter.
+
+    Parameters
+    ----------
+    scenario
+        What the controller is shown.
+    model_error
+        [-] share of force and flow that the model is taken to miss, beside friction (`ModelError.of`).
+    """
+    return estimated(scenario, lqr, ModelError.of(scenario, model_error))

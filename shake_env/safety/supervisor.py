@@ -1,0 +1,286 @@
+"""A supervisor: any controller's command, limited so that the table's hard limits are not reached.
+
+A command governor with a way back (Gilbert and Kolmanovsky, Automatica 38, 2002; the way back as in the
+predictive safety filter of Wabersich and Zeilinger, Automatica 129, 2021). A command passes if braking
+from the next period on would keep every limit, under every specimen that the table may carry. One that
+would not is moved to the nearest that would; where there is none, the table brakes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shake_env.controller import Controller
+from shake_env.errors import ScenarioError
+from shake_env.model.parameters import FloatArray, Specimen
+from shake_env.model.plant import LOAD_PRESSURE, SPOOL_POSITION, TABLE_VELOCITY
+from shake_env.safety.braking import ACTUATOR, Foresight
+from shake_env.scenario.observation import STATE_SIGNALS
+from shake_env.scenario.scenario import Scenario
+from shake_env.scenario.uncertainty import Uniform
+
+# Share of each hard limit that predicted braking may reach. What the prediction leaves out (the
+# orifice above all) errs in acceleration by a tenth, in displacement hardly at all.
+SHARES = {
+    "table_displacement": 0.95,
+    "table_velocity": 0.95,
+    "load_pressure": 0.85,
+    "table_acceleration": 0.80,
+    "specimen_acceleration": 0.80,
+}
+MASS_RATIO, STOREY_FREQUENCY = Uniform(0.1, 1.0), Uniform(5.0, 9.0)  # [-], [Hz] of what may be carried
+# A specimen driven at its resonance is at most half of this from the nearest that is looked at, which
+# then answers with 0.93 of what it does, at 5 % of damping.
+FREQUENCY_RATIO = 1.04
+TRUST = 0.7  # [-] share of an unexpected velocity that is taken for a force
+ROUNDING = 1e-6  # [-] of full current; a smaller change of a command is none
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What the supervisor remembers of each table; leading axis N."""
+
+    commands: FloatArray  # (N, c) sent and still under way, oldest first [A]
+    velocity: FloatArray  # (N,) v_a as last read [m/s]
+    expected: FloatArray  # (H, N) v_a that was expected for now [m/s]
+    specimens: FloatArray  # (H, N, 2 stories) [x_r, w] of each specimen that may be there
+    force: FloatArray  # (H, N) on the table, besides that specimen's [N]
+    steps: NDArray[np.int64]  # (N,) commands so far
+    acted: NDArray[np.int64]  # (N,) of them changed
+    braked: NDArray[np.int64]  # (N,) of them replaced by braking
+    not_finite: NDArray[np.int64]  # (N,) of them that were no finite number
+    largest: FloatArray  # (N,) largest change of a finite command [-] of full current
+
+
+@dataclass(frozen=True)
+class Interventions:
+    """How often a supervisor acted, over all episodes since its memory began."""
+
+    steps: NDArray[np.int64]  # (N,) commands
+    acted: NDArray[np.int64]  # (N,) of them changed, braking and not finite ones included
+    braked: NDArray[np.int64]  # (N,) of them replaced by the braking law's
+    not_finite: NDArray[np.int64]  # (N,) of them that were NaN or infinite
+    largest: FloatArray  # (N,) largest change of a finite command [-] of the current limit
+
+    @property
+    def share(self) -> float:
+        """Share of commands changed, over all tables."""
+        return float(self.acted.sum() / max(int(self.steps.sum()), 1))
+
+    def __str__(self) -> str:
+        return (
+            f"supervisor: changed {self.acted.sum()} of {self.steps.sum()} commands "
+            f"({100 * self.share:.2f} %) at {np.count_nonzero(self.acted)} of {len(self.steps)} tables; "
+            f"braked {self.braked.sum()}, not finite {self.not_finite.sum()}; "
+            f"largest change {self.largest.max(initial=0.0):.3f} of full current"
+        )
+
+
+class Supervised:
+    """A controller whose commands are limited.
+
+    Parameters
+    ----------
+    controller
+        What is supervised.
+    scenario
+        Whose limits are kept; its nominal table, delay and sensing are what the supervisor knows.
+    mass_ratio, storey_frequency
+        Ranges [-], [Hz] of the specimens that the table may carry; widened by the scenario's own
+        uncertainty and nominal specimen. Storeys, and how mass and stiffness are spread over them, are
+        the nominal specimen's.
+
+    Raises
+    ------
+    ScenarioError
+        If the scenario has no limit to keep, does not show what the supervisor needs (displacement,
+        velocity, load pressure and spool position of the table), or has printed equations.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        scenario: Scenario,
+        *,
+        mass_ratio: Uniform = MASS_RATIO,
+        storey_frequency: Uniform = STOREY_FREQUENCY,
+    ) -> None:
+        self.controller, self.scenario = controller, scenario
+        limits = scenario.limits
+        bounds = {
+            name: share * getattr(limits, name)
+            for name, share in SHARES.items()
+            if getattr(limits, name) is not None
+        }
+        if not bounds:
+            raise ScenarioError("limits", limits, 'has none to keep: limits="laboratory" has')
+        # A float32 of the largest command allowed must not round to a larger one.
+        allowed = math.inf if limits.current is None else limits.current * (1.0 - 1e-6)
+        self._most = min(1.0, allowed / scenario.current_limit)
+        bounds["current"] = self._most * scenario.current_limit
+        self._places, self._scale, noise = _readings(scenario)
+        specimens = _family(scenario, mass_ratio, storey_frequency)
+        self._foresight = Foresight.of(scenario, specimens, bounds, noise)
+        self._latest: Memory | None = None
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: tuple[Any, ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[Any, ...]]:
+        """Return the controller's action (..., 1), limited, and ``(its state, the supervisor's)``."""
+        inner, memory = (None, None) if state is None else state
+        action, inner = self.controller.predict(observation, inner, episode_start, deterministic)
+        readings = np.atleast_2d(observation)[:, self._places] * self._scale
+        wanted = np.asarray(action, dtype=np.float64).reshape(len(readings))
+        begins = np.zeros(len(readings), dtype=bool)
+        if episode_start is not None:
+            begins |= np.atleast_1d(episode_start)
+        memory = self._look(memory, readings, begins)
+        sent, memory = self._limit(memory, readings, wanted)
+        self._latest = memory
+        return sent.astype(np.float32).reshape(np.shape(action)), (inner, memory)
+
+    def interventions(self, state: tuple[Any, ...] | None = None) -> Interventions:
+        """Return how often the supervisor acted, up to `state` or else up to its last call."""
+        memory = self._latest if state is None else state[1]
+        if memory is None:
+            none = np.zeros(0, dtype=np.int64)
+            return Interventions(none, none, none, none, np.zeros(0))
+        return Interventions(
+            memory.steps, memory.acted, memory.braked, memory.not_finite, memory.largest
+        )
+
+    def _look(self, memory: Memory | None, readings: FloatArray, begins: NDArray[np.bool_]) -> Memory:
+        """Return the memory with what the readings (N, 4) say of the specimens and forces."""
+        seen = self._foresight
+        velocity = readings[:, TABLE_VELOCITY]
+        lanes, hypotheses, floors = len(readings), len(seen.push), seen.carry.shape[1]
+        if memory is None:
+            count = np.zeros(lanes, dtype=np.int64)
+            memory = Memory(
+                commands=np.zeros((lanes, len(seen.feedback) - ACTUATOR)),
+                velocity=velocity,
+                expected=np.zeros((hypotheses, lanes)),
+                specimens=np.zeros((hypotheses, lanes, floors)),
+                force=np.zeros((hypotheses, lanes)),
+                steps=count, acted=count, braked=count, not_finite=count, largest=np.zeros(lanes),
+            )  # fmt: skip
+            begins = np.ones(lanes, dtype=bool)
+        before = np.broadcast_to(memory.velocity[:, None], (hypotheses, lanes, 1))
+        after = np.broadcast_to(velocity[:, None], (hypotheses, lanes, 1))
+        carried = np.concatenate([memory.specimens, before, after], axis=-1)
+        unexpected = velocity - memory.expected
+        force = memory.force + TRUST * unexpected / seen.push[:, None]
+        specimens = carried @ np.swapaxes(seen.carry, 1, 2)
+        return replace(
+            memory,
+            commands=np.where(begins[:, None], 0.0, memory.commands),
+            velocity=velocity,
+            specimens=np.where(begins[:, None], 0.0, specimens),
+            force=np.where(begins, 0.0, force),
+        )
+
+    def _limit(
+        self, memory: Memory, readings: FloatArray, wanted: FloatArray
+    ) -> tuple[FloatArray, Memory]:
+        """Return the actions (N,) that are sent in place of those `wanted`, and the memory after."""
+        seen, full = self._foresight, self.scenario.current_limit
+        z = self._state(memory, readings)
+        across = z.astype(np.float32) @ seen.rows
+        upper = (seen.bound - across).min(axis=(0, 2)) / full
+        lower = -(seen.bound + across).min(axis=(0, 2)) / full
+        brake = -np.concatenate([readings, memory.commands], axis=-1) @ seen.feedback / full
+        finite = np.isfinite(wanted)
+        asked = np.where(finite, wanted, 0.0).clip(-1.0, 1.0)
+        braking = ~finite | ~(lower <= upper)
+        # Where two limits contradict each other, what lies between their demands breaks each a little.
+        low, high = np.minimum(lower, upper), np.maximum(lower, upper)
+        sent = np.minimum(np.maximum(np.where(braking, brake, asked), low), high)
+        sent = sent.clip(-self._most, self._most).astype(np.float32).astype(np.float64)  # as it leaves
+        change = np.where(finite, np.abs(sent - asked), 0.0)
+        current = full * sent
+        expected = (z @ seen.velocity[:, :-1, None])[:, :, 0] + seen.velocity[:, -1:] * current
+        queue = np.concatenate([memory.commands, current[:, None]], axis=-1)[:, 1:]
+        acted = ~finite | (change > ROUNDING)
+        return sent, replace(
+            memory,
+            commands=queue,
+            expected=expected,
+            steps=memory.steps + 1,
+            acted=memory.acted + acted,
+            braked=memory.braked + (braking & acted),
+            not_finite=memory.not_finite + ~finite,
+            largest=np.maximum(memory.largest, change),
+        )
+
+    def _state(self, memory: Memory, readings: FloatArray) -> FloatArray:
+        """Return z (H, N, columns) of `Foresight`."""
+        valve = self.scenario.nonlinearity.valve
+        flow = np.zeros(len(readings))
+        if valve.flow_active:
+            spool = readings[:, SPOOL_POSITION]
+            flow = valve.opening(spool, readings[:, LOAD_PRESSURE]) - spool
+        shape = memory.force.shape
+        return np.concatenate(
+            [
+                np.broadcast_to(readings, (*shape, ACTUATOR)),
+                memory.specimens,
+                memory.force[:, :, None],
+                np.broadcast_to(flow[:, None], (*shape, 1)),
+                np.broadcast_to(memory.commands, (*shape, memory.commands.shape[-1])),
+            ],
+            axis=-1,
+        )
+
+
+def _readings(scenario: Scenario) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
+    """Return place, size and rms error (4,) each of the readings of x_A in an observation."""
+    layout = scenario.observation
+    names = sorted(STATE_SIGNALS, key=STATE_SIGNALS.__getitem__)
+    if layout.sensing.full_state:
+        actuator = scenario.plant.layout.actuator
+        return (
+            np.arange(actuator.start, actuator.stop),
+            scenario.plant.state_scale[actuator],
+            np.zeros(4),
+        )
+    missing = [name for name in names if name not in layout.reading_names]
+    if missing:
+        raise ScenarioError(
+            "sensing", layout.reading_names, f"the supervisor needs {', '.join(missing)} too"
+        )
+    at = np.asarray([layout.reading_names.index(name) for name in names])
+    squares = [layout.sensor_values(name)[at] ** 2 for name in ("noise", "bias")]
+    rounded = layout.sensor_values("resolution")[at] ** 2 / 12.0
+    return layout.readings.start + at, layout.reading_scale[at], np.sqrt(sum(squares, rounded))
+
+
+def _family(scenario: Scenario, mass_ratio: Uniform, frequency: Uniform) -> list[Specimen]:
+    """Return specimens over the ranges: a geometric row of frequencies, each of them light and heavy."""
+    nominal, uncertain = scenario.specimen, scenario.uncertainty
+    ratio = nominal.mass / scenario.actuator.table_mass
+    own = math.sqrt(nominal.stiffnesses[0] / nominal.masses[0]) / (2.0 * math.pi)
+    masses = [mass_ratio, uncertain.mass_ratio or mass_ratio, Uniform(ratio, ratio)]
+    rates = [frequency, uncertain.storey_frequency or frequency, Uniform(own, own)]
+    lightest, heaviest = min(m.low for m in masses) / ratio, max(m.high for m in masses) / ratio
+    slowest, fastest = min(f.low for f in rates) / own, max(f.high for f in rates) / own
+    number = 1 + max(1, math.ceil(math.log(fastest / slowest) / math.log(FREQUENCY_RATIO)))
+    factors = np.geomspace(slowest, fastest, number)
+    return [_scaled(nominal, mass, factor) for factor in factors for mass in (lightest, heaviest)]
+
+
+def _scaled(specimen: Specimen, mass: float, frequency: float) -> Specimen:
+    """Return a specimen with every mass and every frequency times a factor."""
+    return Specimen(
+        masses=tuple(mass * m for m in specimen.masses),
+        stiffnesses=tuple(mass * frequency**2 * k for k in specimen.stiffnesses),
+        dampings=tuple(mass * frequency * c for c in specimen.dampings),
+    )

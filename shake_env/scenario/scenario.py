@@ -1,0 +1,190 @@
+"""A scenario: one frozen value that says everything about an experiment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from shake_env.errors import ParameterError, ScenarioError
+from shake_env.model.discretization import DiscretePlant, check_directions
+from shake_env.model.nonlinearity import Nonlinearity
+from shake_env.model.parameters import Actuator, GroundFilter, ModelEquations, Specimen
+from shake_env.model.plant import REFERENCE_CURRENT, CoupledPlant
+from shake_env.model.ranges import check_ranges
+from shake_env.model.resolution import check_resolution
+from shake_env.motion.targets import FilteredNoise, Motion, MotionSet, RecordedMotion
+from shake_env.scenario.limits import Limits
+from shake_env.scenario.objective import Objective, StageCost
+from shake_env.scenario.observation import ObservationLayout, Sensing
+from shake_env.scenario.uncertainty import Uncertainty
+
+_KINDS: tuple[tuple[str, type | tuple[type, ...]], ...] = (
+    ("actuator", Actuator),
+    ("specimen", Specimen),
+    ("ground", GroundFilter),
+    ("equations", ModelEquations),
+    ("motion", (FilteredNoise, RecordedMotion, MotionSet)),
+    ("objective", Objective),
+    ("limits", Limits),
+    ("nonlinearity", Nonlinearity),
+    ("uncertainty", Uncertainty),
+    ("sensing", Sensing),
+)
+
+
+MOST_SUBSTEPS = 1000  # physics steps a control period
+UNIFORM = ("stories", "mass_ratio", "storey_frequency", "damping_ratio")  # what makes equal storeys
+
+
+def _names(kind: type | tuple[type, ...]) -> str:
+    return " or ".join(k.__name__ for k in (kind if isinstance(kind, tuple) else (kind,)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """Plant, ground motion, objective, timing and limits of an experiment.
+
+    Raises
+    ------
+    ParameterError
+        If a rate, step or limit is not above zero, or the control period is not a whole number of
+        physics steps.
+    ScenarioError
+        If a part is of another type.
+    """
+
+    name: str = "linear"
+    actuator: Actuator = field(default_factory=Actuator)
+    specimen: Specimen = field(default_factory=Specimen.uniform)
+    ground: GroundFilter = field(default_factory=GroundFilter)
+    equations: ModelEquations = field(default_factory=ModelEquations)
+    motion: Motion = field(default_factory=FilteredNoise)
+    objective: Objective = field(default_factory=Objective)
+    physics_step: float = 1e-3  # [s]
+    control_rate: float = 200.0  # [Hz]
+    # Of the directions of a step's noise, two lose 1e-9 of any mean square at 1 ms
+    # (`DiscretePlant.noise`); None draws all above rounding, which takes twice as many.
+    noise_directions: int | None = 2  # [-] random numbers a physics step
+    # The linear plant has no current limit; the action needs a unit. Five times the rated current is
+    # over five times LQR's rms at 200 Hz, so that clipping to [-1, 1] leaves the linear optimum alone.
+    current_limit: float = 5.0 * REFERENCE_CURRENT  # [A] current of action 1
+    limits: Limits = field(default_factory=Limits)
+    nonlinearity: Nonlinearity = field(default_factory=Nonlinearity)
+    delay: float = 0  # [physics steps] from the controller's command to the valve
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    sensing: Sensing = field(default_factory=Sensing)
+
+    def __post_init__(self) -> None:
+        for name, kind in _KINDS:
+            if not isinstance(getattr(self, name), kind):
+                raise ScenarioError(name, getattr(self, name), f"must be a {_names(kind)}")
+        check_ranges(self)
+        ratio = 1.0 / (self.control_rate * self.physics_step)
+        if round(ratio) < 1 or not math.isclose(ratio, round(ratio), rel_tol=1e-9):
+            nearest = 1.0 / (max(round(ratio), 1) * self.physics_step)
+            raise ParameterError(
+                "control_rate",
+                self.control_rate,
+                f"its period is {ratio:.6g} physics steps of {self.physics_step} s and must be a whole "
+                f"number of them: try {nearest:.6g} Hz",
+            )
+        if round(ratio) > MOST_SUBSTEPS:
+            raise ParameterError(
+                "control_rate",
+                self.control_rate,
+                f"its period is {ratio:.6g} physics steps of {self.physics_step} s, and must be at most "
+                f"{MOST_SUBSTEPS} of them: raise the rate or the step",
+            )
+        check_resolution(self.actuator, self.specimen, self.ground, self.nonlinearity, self.physics_step)
+        self._check_equations()
+        self.sensing.preview_steps(self.control_period, self.physics_step)
+        check_directions("noise_directions", self.noise_directions)
+
+    def _check_equations(self) -> None:
+        asked = {
+            "nonlinearity": self.nonlinearity.active,
+            "delay": bool(self.delay),
+            "uncertainty": self.uncertainty.active,
+        }
+        if self.equations != ModelEquations() and any(asked.values()):
+            name = next(name for name, given in asked.items() if given)
+            raise ScenarioError(name, getattr(self, name), 'needs equations="corrected"')
+        valve = self.nonlinearity.valve
+        if self.uncertainty.valve_time_constant and valve.natural_frequency is not None:
+            raise ScenarioError(
+                "uncertainty.valve_time_constant",
+                self.uncertainty.valve_time_constant,
+                "a valve with a natural frequency has no time constant: leave one of them out",
+            )
+
+    def drawn(self, stream: np.random.Generator) -> Scenario:
+        """Return this scenario with a true plant drawn from its uncertainty."""
+        return self.with_plant(self.uncertainty.sample(stream))
+
+    def with_plant(self, values: Mapping[str, float]) -> Scenario:
+        """Return this scenario with these values of its uncertain parameters, by their names."""
+        changes: dict[str, Any] = {}
+        specimen = {name: values[name] for name in UNIFORM if name in values}
+        if specimen:
+            table_mass = self.actuator.table_mass
+            now = {**self.specimen.uniform_values(table_mass), **specimen}
+            changes["specimen"] = Specimen.uniform(**now, table_mass=table_mass)
+        actuator = {name: value for name, value in values.items() if name in vars(self.actuator)}
+        if actuator:
+            changes["actuator"] = replace(self.actuator, **actuator)
+        if "coulomb_friction" in values:
+            friction = self.nonlinearity.friction.at(values["coulomb_friction"])
+            changes["nonlinearity"] = replace(self.nonlinearity, friction=friction)
+        if "delay" in values:
+            changes["delay"] = round(values["delay"])
+        return replace(self, **changes)
+
+    @property
+    def parts(self) -> Nonlinearity:
+        """The nonlinear parts of the tables that are stepped: friction also where it is only drawn."""
+        friction, drawn = self.nonlinearity.friction, self.uncertainty.coulomb_friction
+        if drawn is None or friction.active:
+            return self.nonlinearity
+        return replace(self.nonlinearity, friction=friction.at(drawn.high))
+
+    @property
+    def longest_delay(self) -> float:
+        """Longest loop delay [physics steps] that a drawn plant can have."""
+        uncertain = self.uncertainty.delay
+        return self.delay if uncertain is None else max(self.delay, math.ceil(uncertain.high))
+
+    @property
+    def substeps(self) -> int:
+        """Physics steps per control period."""
+        return round(1.0 / (self.control_rate * self.physics_step))
+
+    @property
+    def control_period(self) -> float:
+        """Control period [s]."""
+        return self.substeps * self.physics_step
+
+    @cached_property
+    def plant(self) -> CoupledPlant:
+        """The continuous coupled plant."""
+        return CoupledPlant(self.actuator, self.specimen, self.ground, self.equations)
+
+    @cached_property
+    def discrete(self) -> DiscretePlant:
+        """The plant at the physics step and control rate: what baselines are designed on."""
+        return DiscretePlant(self.plant, self.physics_step, self.substeps, self.noise_directions)
+
+    @cached_property
+    def observation(self) -> ObservationLayout:
+        """Where each part of an observation lies."""
+        samples, spacing = self.sensing.preview_steps(self.control_period, self.physics_step)
+        return ObservationLayout(self.sensing, self.plant, samples, spacing)
+
+    @cached_property
+    def stage_cost(self) -> StageCost:
+        """The objective with coefficients in SI."""
+        return self.objective.coefficients(self.plant)

@@ -1,0 +1,134 @@
+"""A plant for each table of a batch, where the scenario does not know its own for sure."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from shake_env.dynamics import nonlinear as nonlinear_dynamics
+from shake_env.dynamics import yielding_reference as reference
+from shake_env.dynamics.ground import GroundMaps
+from shake_env.dynamics.nonlinear import NonlinearDynamics, arrival, commands_under_way, floor_rows
+from shake_env.errors import ScenarioError
+from shake_env.model.discretization import MOST_DIRECTIONS, DiscretePlant
+from shake_env.model.parameters import FloatArray, stacked
+from shake_env.model.plant import CoupledPlant
+from shake_env.scenario.objective import StageCost
+from shake_env.scenario.scenario import Scenario
+from shake_env.simulation.transition import TableModel
+
+
+class Fleet:
+    """The drawn plants of N tables, stacked so that one update steps them all.
+
+    Parameters
+    ----------
+    scenario
+        With an uncertainty; its own values are the nominal plant.
+    lanes
+        Number of tables N.
+
+    Raises
+    ------
+    ScenarioError
+        If the equations are not the corrected ones.
+    """
+
+    def __init__(self, scenario: Scenario, lanes: int) -> None:
+        nominal = TableModel.of(scenario)
+        if not isinstance(nominal.dynamics, NonlinearDynamics):
+            raise ScenarioError("uncertainty", scenario.uncertainty, "is not active: nothing to draw")
+        self.scenario = scenario
+        self.plants: list[Scenario] = [scenario] * lanes  # the true scenario of each lane
+        self._values: list[dict[str, float]] = [{}] * lanes  # what was drawn for each
+        self._dynamics: dict[str, Any] = {
+            name: _repeat(getattr(nominal.dynamics, name), lanes) for name in nonlinear_dynamics.ARRAYS
+        }
+        self._cost: dict[str, Any] = {
+            field.name: np.full(lanes, getattr(nominal.stage_cost, field.name))
+            for field in fields(StageCost)
+        }
+        # How many directions of noise lie above rounding differs from plant to plant.
+        self._directions = scenario.noise_directions or MOST_DIRECTIONS
+        discrete = replace(scenario.discrete, directions=self._directions)
+        maps = GroundMaps.of(discrete, scenario.nonlinearity.yielding)
+        self._noise = _repeat(maps.noise, lanes)
+        self._record = _repeat(maps.record, lanes)
+        self._reference: dict[str, Any] = {
+            name: _repeat(getattr(maps.yielding, name), lanes)
+            for name in (reference.ARRAYS if maps.yielding else ())
+        }
+        self._floors = None if nominal.floor_rows is None else _repeat(nominal.floor_rows, lanes)
+        # The stacks are filled in place: these values see every change.
+        self.model = replace(
+            nominal,
+            dynamics=replace(nominal.dynamics, **self._dynamics),
+            stage_cost=StageCost(**self._cost),
+            floor_rows=self._floors,
+        )
+        yielding = maps.yielding and replace(maps.yielding, **self._reference)
+        self.maps = GroundMaps(self._noise, self._record, yielding)
+
+    def draw(self, lanes: Sequence[int], streams: Sequence[np.random.Generator]) -> None:
+        """Give each of `lanes` a new plant, drawn from its stream."""
+        scenario, index = self.scenario, np.asarray(lanes, dtype=int)
+        values = [scenario.uncertainty.sample(stream) for stream in streams]
+        drawn = [scenario.with_plant(each) for each in values]
+        for lane, each, true in zip(lanes, values, drawn, strict=True):
+            self._values[lane], self.plants[lane] = each, true
+        # All at once, from parameters whose numbers are arrays: one by one, Python costs ten times what
+        # the arithmetic does.
+        actuator = stacked([true.actuator for true in drawn])
+        plant = CoupledPlant(
+            actuator, stacked([true.specimen for true in drawn]), scenario.ground, scenario.equations
+        )
+        parts, step, k = scenario.parts, scenario.physics_step, scenario.substeps
+        dynamics = NonlinearDynamics.of(plant, parts, step, k, longest_delay=scenario.longest_delay)
+        commands = commands_under_way(scenario.longest_delay, k)
+        own = {
+            "coulomb": [true.nonlinearity.friction.coulomb for true in drawn],
+            "arrival": [arrival(true.delay, k, commands) for true in drawn],
+        }
+        for name, stack in self._dynamics.items():
+            stack[index] = own.get(name, getattr(dynamics, name))
+        cost = scenario.objective.coefficients(plant)
+        for name, column in self._cost.items():
+            column[index] = getattr(cost, name)
+        if self._floors is not None:
+            self._floors[index] = floor_rows(plant, parts.yielding)
+        maps = GroundMaps.of(DiscretePlant(plant, step, k, self._directions), parts.yielding)
+        self._noise[index] = maps.noise
+        self._record[index] = maps.record
+        for name, stack in self._reference.items():
+            stack[index] = getattr(maps.yielding, name)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return everything that `restore` needs, as arrays and numbers."""
+        stacks = {
+            "dynamics": self._dynamics,
+            "cost": self._cost,
+            "reference": self._reference,
+            "noise": self._noise,
+            "record": self._record,
+            "floors": self._floors,
+        }
+        return {**copy.deepcopy(stacks), "values": [dict(values) for values in self._values]}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Take the plants of a `snapshot`."""
+        for name in ("dynamics", "cost", "reference"):
+            for part, stack in getattr(self, f"_{name}").items():
+                stack[...] = snapshot[name][part]
+        self._noise[...], self._record[...] = snapshot["noise"], snapshot["record"]
+        if self._floors is not None:
+            self._floors[...] = snapshot["floors"]
+        self._values[:] = [dict(values) for values in snapshot["values"]]
+        self.plants[:] = [self.scenario.with_plant(values) for values in self._values]
+
+
+def _repeat(matrix: FloatArray, lanes: int) -> FloatArray:
+    return np.repeat(np.asarray(matrix, dtype=float)[None], lanes, axis=0)

@@ -1,0 +1,251 @@
+"""Readings of the sensors, pure and against the array API, and the noise that they carry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import array_api_compat
+import numpy as np
+
+from shake_env.dynamics.linear import as_like
+from shake_env.model.parameters import FloatArray
+from shake_env.scenario.observation import STATE_SIGNALS, ObservationLayout
+from shake_env.simulation.random_streams import Normals
+
+Array = Any  # a numpy array or a torch tensor
+BLOCK_STEPS = 64  # control periods whose noise is drawn ahead
+
+
+@dataclass(frozen=True)
+class SensorMemory:
+    """What the sensors of a table remember from one control period to the next."""
+
+    filtered: Array  # (..., s) outputs of the low-passes, SI
+    bias: Array  # (..., s) offsets of this episode, SI
+    action: Array  # (...) last action, within [-1, 1]
+    past: Array  # (..., history, s or s + 1) readings over their scale and last actions, newest first
+
+    def like(self, array: Array) -> SensorMemory:
+        """Return this memory in the library, precision and device of `array`."""
+        return SensorMemory(*(as_like(getattr(self, f.name), array) for f in fields(self)))
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """From the signals of a table to its readings."""
+
+    layout: ObservationLayout
+    follow: Array  # (s,) share of its way to the signal that a low-pass goes in a control period
+    resolution: Array  # (s,) SI; 1 where there is none
+    rounded: Array  # (s,) 1 where readings are rounded, else 0
+    scale: Array  # (s,) SI
+    preview_scale: float  # [m/s^2]
+
+    @classmethod
+    def of(cls, layout: ObservationLayout, control_period: float) -> Measurement:
+        """Return the measurement of an observation layout at a control period [s]."""
+        cutoff = layout.sensor_values("lowpass_frequency")  # infinite: no low-pass
+        resolution = layout.sensor_values("resolution")
+        return cls(
+            layout=layout,
+            follow=-np.expm1(-2.0 * math.pi * control_period * cutoff),
+            resolution=np.where(resolution > 0.0, resolution, 1.0),
+            rounded=(resolution > 0.0).astype(float),
+            scale=layout.reading_scale,
+            preview_scale=float(np.sqrt(layout.plant.target_variance)),
+        )
+
+    def like(self, array: Array) -> Measurement:
+        """Return this measurement in the library, precision and device of `array`."""
+        names = ("follow", "resolution", "rounded", "scale")
+        return replace(self, **{name: as_like(getattr(self, name), array) for name in names})
+
+    def rest(self, lanes: int) -> SensorMemory:
+        """Return the memory (lanes, ...) of sensors without offset on tables at rest."""
+        s, shown = self.layout.readings_count, self.layout.sensing
+        return SensorMemory(
+            np.zeros((lanes, s)),
+            np.zeros((lanes, s)),
+            np.zeros(lanes),
+            np.zeros((lanes, shown.history, s + shown.last_action)),
+        )
+
+    def signals(
+        self, state: Array, table_acceleration: Array, base_shear: Array, floors: Array | None
+    ) -> Array:
+        """Return what the sensors are held against, (..., s) in SI.
+
+        Parameters
+        ----------
+        state
+            (..., 4 or more) the table's state, x_A first.
+        table_acceleration, base_shear
+            (...) [m/s^2], [N] at the period's end.
+        floors
+            (..., stories) absolute accelerations of the floors [m/s^2]; needed where they are measured.
+        """
+        xp = array_api_compat.array_namespace(state)
+        columns = []
+        for name in self.layout.reading_names:
+            if name in STATE_SIGNALS:
+                columns.append(state[..., STATE_SIGNALS[name]])
+            elif name == "table_acceleration":
+                columns.append(table_acceleration)
+            elif name == "base_shear":
+                columns.append(base_shear)
+            else:
+                assert floors is not None  # the model computes them where a sensor asks
+                columns.append(floors[..., int(name.rsplit("_", 1)[1]) - 1])
+        return xp.stack(columns, axis=-1)
+
+    def read(
+        self, memory: SensorMemory, signals: Array, noise: Array, action: Array
+    ) -> tuple[Array, SensorMemory]:
+        """Take the readings at the end of a control period.
+
+        Parameters
+        ----------
+        memory
+            Of the period before.
+        signals
+            (..., s) in SI.
+        noise
+            (..., s) white noise of this sample, SI.
+        action
+            (...) of the period, within [-1, 1].
+
+        Returns
+        -------
+        readings, memory
+            (..., s) over their scale, and the memory without this period in its history: `remember`
+            puts it there, once it has been shown.
+        """
+        xp = array_api_compat.array_namespace(signals)
+        filtered = memory.filtered + self.follow * (signals - memory.filtered)
+        reading = filtered + memory.bias + noise
+        error = self.rounded * (xp.round(reading / self.resolution) * self.resolution - reading)
+        if hasattr(error, "detach"):
+            # Rounding has no slope; learning through the plant takes it for an error that is given
+            # (the straight-through estimator, Bengio et al. 2013).
+            error = error.detach()
+        scaled = (reading + error) / self.scale
+        return scaled, replace(memory, filtered=filtered, action=action)
+
+    def remember(self, memory: SensorMemory, readings: Array) -> SensorMemory:
+        """Return the memory with `readings` (..., s), already shown, as the newest of the history."""
+        shown = self.layout.sensing
+        if not shown.history:
+            return memory
+        xp = array_api_compat.array_namespace(readings)
+        newest = readings
+        if shown.last_action:
+            newest = xp.concat([readings, memory.action[..., None]], axis=-1)
+        past = xp.concat([newest[..., None, :], memory.past[..., :-1, :]], axis=-2)
+        return replace(memory, past=past)
+
+    def observation(
+        self, head: Array, readings: Array | None, preview: Array | None, memory: SensorMemory
+    ) -> Array:
+        """Return the whole observation (..., n).
+
+        Parameters
+        ----------
+        head
+            (..., head) full state or ground-filter state over its scale.
+        readings
+            (..., s) over their scale; None with the full state.
+        preview
+            (..., samples) target accelerations [m/s^2]; None without a preview.
+        memory
+            The sensors' memory, for the last action and the history.
+        """
+        xp = array_api_compat.array_namespace(head)
+        shown, parts = self.layout.sensing, [head]
+        if readings is not None:
+            parts.append(readings)
+        if preview is not None:
+            parts.append(preview / self.preview_scale)
+        if shown.last_action:
+            parts.append(memory.action[..., None])
+        if shown.history:
+            parts.append(xp.reshape(memory.past, (*memory.past.shape[:-2], -1)))
+        return xp.concat(parts, axis=-1) if len(parts) > 1 else head
+
+
+class SensorNoise:
+    """Noise and offsets of N tables' sensors, each episode from a stream of its own.
+
+    Parameters
+    ----------
+    layout
+        What is measured.
+    lanes
+        Number of tables N.
+    """
+
+    def __init__(self, layout: ObservationLayout, lanes: int) -> None:
+        self._rms = layout.sensor_values("noise")
+        self._bias = layout.sensor_values("bias")
+        self.active = bool(self._rms.any() or self._bias.any())
+        self._normals = Normals(lanes)
+        self._block = np.zeros((lanes, BLOCK_STEPS, len(self._rms)))
+        self._cursor = 0
+
+    def start(
+        self, lanes: Sequence[int], streams: Sequence[np.random.Generator]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Begin an episode in each of `lanes`.
+
+        Returns
+        -------
+        bias, noise
+            (len(lanes), s) offsets of the episode, and the noise of the reading at rest, SI.
+        """
+        bias, noise = np.zeros((2, len(lanes), len(self._rms)))
+        if self.active:
+            for row, (lane, stream) in enumerate(zip(lanes, streams, strict=True)):
+                # Spawned: the ground's own draws stay what they are without sensors.
+                own = stream.spawn(1)[0]
+                bias[row] = self._bias * own.standard_normal(len(self._bias))
+                noise[row] = self._rms * own.standard_normal(len(self._rms))
+                self._normals[lane] = own
+            self._draw(list(lanes), self._cursor)
+        return bias, noise
+
+    def advance(self) -> FloatArray:
+        """Return the noise (N, s) of the next reading of every lane; valid until the next call."""
+        block, row = self.take()
+        return block[:, row]
+
+    def take(self) -> tuple[FloatArray, int]:
+        """Return the noise ahead (N, rows, s) and the row in it of the next reading."""
+        if not self.active:
+            return self._block, 0
+        if self._cursor == BLOCK_STEPS:
+            self._cursor = 0
+            self._draw(self._normals.lanes, 0)
+        self._cursor += 1
+        return self._block, self._cursor - 1
+
+    def _draw(self, lanes: list[int], first: int) -> None:
+        drawn = np.empty((len(lanes), BLOCK_STEPS - first, len(self._rms)))
+        self._normals.fill(lanes, drawn.reshape(len(lanes), -1))
+        drawn *= self._rms
+        self._block[lanes, first:] = drawn
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return everything that `restore` needs to go on exactly."""
+        return {
+            "streams": self._normals.snapshot(),
+            "block": self._block.copy(),
+            "cursor": self._cursor,
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go on from a `snapshot`."""
+        self._normals.restore(snapshot["streams"])
+        self._block[:] = snapshot["block"]
+        self._cursor = snapshot["cursor"]

@@ -1,0 +1,195 @@
+"""The protocol: against `shake compare`'s figures, against J*, and what a result file holds."""
+
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+from agents.__main__ import main
+from agents.evaluation.benchmark import TEST_SEED
+from agents.evaluation.compare import compare
+from agents.evaluation.protocol import Contestant, contestant, evaluate, optimal_cost, policy_files
+from agents.evaluation.result_files import read_results, write_result
+from agents.evaluation.scores import cost_figures
+from agents.experiments.controller_tuning import VALIDATION_SEED
+from agents.policies.policy_file import digest, load_policy
+from agents.policies.registry import shipped_policy
+from agents.reporting.evaluation_tables import markdown, put_tables
+from agents.training.train import EVALUATION_SEED
+from baselines.lqr.preview import preview_lqr
+from baselines.lqr.sampled import sampled_lqr
+from shake_env import make_scenario
+from shake_env.errors import ParameterError, PolicyFileError, ScenarioError
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return make_scenario("linear", {"duration": 2.0})
+
+
+@pytest.fixture(scope="module")
+def two_seeds(tmp_path_factory):
+    """A folder of two runs, as a campaign leaves it."""
+    folder = tmp_path_factory.mktemp("runs") / "mine"
+    for seed, name in ((0, "policy"), (1, "analytic")):
+        (folder / str(seed)).mkdir(parents=True)
+        shutil.copy(shipped_policy(name), folder / str(seed) / "policy.safetensors")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(scenario, two_seeds):
+    rows = [contestant(str(two_seeds), scenario), contestant("none", scenario)]
+    return evaluate(scenario, rows, earthquakes=70, resamples=200)
+
+
+def test_costs_are_those_of_compare(scenario, result):
+    found = compare(
+        scenario, ["policy", "analytic", "none"], noise=70, records=False, seed=TEST_SEED
+    ).episodes
+    for name, runs in {"mine": ("policy", "analytic"), "lqr": ("lqr",), "none": ("none",)}.items():
+        expected = [[m.cost for m in found[run]] for run in runs]
+        # Batches of another width round otherwise.
+        np.testing.assert_allclose(result["episodes"][name]["cost"], expected, rtol=1e-5)
+    row = next(row for row in result["rows"] if row["controller"] == "mine")
+    lqr = np.sum([m.cost for m in found["lqr"]])
+    each = [np.sum([m.cost for m in found[run]]) / lqr for run in ("policy", "analytic")]
+    assert row["run_costs"] == pytest.approx(each, rel=1e-5)
+    assert row["relative_cost"]["value"] == pytest.approx(np.mean(each), rel=1e-5)
+    assert (row["runs"], row["episodes"], row["failures"]) == (2, 140, 0)
+
+
+def test_the_yardstick_of_a_linear_table_is_the_optimum(scenario, result):
+    assert result["optimal_cost"] == sampled_lqr(scenario.discrete, scenario.stage_cost).analytic_cost
+    assert (result["yardstick"], result["reference"]) == ("lqr", "lqr")
+    by_name = {row["controller"]: row for row in result["rows"]}
+    assert by_name["lqr"]["relative_cost"] == {"value": 1.0, "low": 1.0, "high": 1.0}
+    # Tables begin at rest: two seconds cost a little less than stationary ones.
+    assert 0.9 < by_name["lqr"]["optimality"]["value"] < 1.05
+    assert by_name["none"]["probability_of_improvement"]["value"] == 0.0
+    mine = by_name["mine"]["relative_cost"]
+    assert mine["low"] < mine["value"] < mine["high"]
+    assert 1.0 < mine["value"] < 1.1
+
+
+def test_a_result_says_what_it_was_made_of(result, two_seeds):
+    assert result["seed"] == TEST_SEED
+    assert result["earthquakes"][0] == f"noise {TEST_SEED}"
+    by_name = {row["controller"]: row for row in result["rows"]}
+    sources = by_name["mine"]["sources"]
+    assert [s["sha256"] for s in sources] == [digest(f) for f in policy_files(two_seeds)]
+    assert [s["algorithm"] for s in sources] == ["ppo", "analytic"]
+    assert by_name["lqr"]["sources"] == []
+    assert 1e-6 < by_name["mine"]["decision_time"] < 1e-2
+
+
+def test_an_evaluation_is_repeated_exactly(scenario, two_seeds, result):
+    again = evaluate(
+        scenario,
+        [contestant(str(two_seeds), scenario), contestant("none", scenario)],
+        earthquakes=70,
+        resamples=200,
+    )
+    timed = [
+        {**each, "rows": [{**row, "decision_time": None} for row in each["rows"]]}
+        for each in (again, result)
+    ]
+    assert timed[0] == timed[1]
+
+
+def test_test_earthquakes_are_nobody_elses():
+    starts = [0, EVALUATION_SEED, 2_000_000, VALIDATION_SEED, TEST_SEED]
+    assert starts == sorted(starts)
+    assert min(np.diff(starts)) >= 1_000_000
+
+
+def test_an_unknown_specimen_is_measured_by_the_clairvoyant():
+    unknown = {"uncertainty.mass_ratio": [0.3, 0.7]}
+    scenario = make_scenario("laboratory", {"duration": 2.0, "fields": unknown})
+    result = evaluate(scenario, [Contestant("none")], earthquakes=3, repeats=False, resamples=50)
+    assert (result["yardstick"], result["reference"], result["optimal_cost"]) == (
+        "clairvoyant", "lqg", None,
+    )  # fmt: skip
+    by_name = {row["controller"]: row for row in result["rows"]}
+    cost = {name: np.mean(e["cost"]) for name, e in result["episodes"].items()}
+    for name in ("lqg", "none"):
+        expected = (cost["lqg"] - cost[name]) / (cost["lqg"] - cost["clairvoyant"])
+        # A file's numbers have seven digits, and none's share is five hundred times the regret.
+        found = by_name[name]["regret_closed"]["value"]
+        assert found == pytest.approx(expected, abs=1e-5, rel=1e-5)
+    assert by_name["clairvoyant"]["regret_closed"] is None
+    assert by_name["clairvoyant"]["decision_time"] is None
+    assert by_name["none"]["drift_error"] is None
+
+
+def test_no_regret_is_told_where_the_clairvoyant_costs_more_than_the_reference():
+    cheap, dear = np.full((1, 4), 1.0), np.full((1, 4), 2.0)
+    found = cost_figures(
+        np.full((1, 4), 1.5), yardstick=dear, reference=cheap, optimum=None, resamples=10
+    )
+    assert found["regret_closed"] is None
+    found = cost_figures(
+        np.full((1, 4), 1.5), yardstick=cheap, reference=dear, optimum=None, resamples=10
+    )
+    assert found["regret_closed"]["value"] == pytest.approx(0.5)
+
+
+def test_the_optimum_with_preview_and_amplitude():
+    scenario = make_scenario("linear", {"amplitude": 0.5, "fields": {"sensing.preview": 0.1}})
+    design = preview_lqr(scenario.discrete, scenario.stage_cost, 0.1)
+    assert optimal_cost(scenario) == pytest.approx(0.25 * design.analytic_cost)
+    for change in ({"delay": 2.5}, {"sensing": "laboratory"}, {"limits": "laboratory"}):
+        assert optimal_cost(make_scenario("linear", change)) is None
+    friction = {"fields": {"nonlinearity.friction.coulomb": 300.0}}
+    assert optimal_cost(make_scenario("linear", friction)) is None
+
+
+def test_tables_stand_between_markers_and_come_from_files(result, tmp_path):
+    write_result(result, tmp_path / "evaluation_linear.json")
+    read = read_results(tmp_path)
+    assert read == {"linear": json.loads(json.dumps(result))}
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- evaluation linear -->\nold\n<!-- end linear -->\nafter\n")
+    assert put_tables(page, read | {"other": result}) == ["other"]
+    text = page.read_text()
+    assert text.startswith("before\n")
+    assert text.endswith("after\n")
+    assert "old" not in text
+    table = [line for line in markdown(read["linear"]).splitlines() if line.startswith("|")]
+    assert all(line in text for line in table)
+    assert len({line.count("|") for line in table}) == 1
+    put_tables(page, read)
+    assert page.read_text() == text
+    page.write_text("<!-- evaluation linear -->\n")
+    with pytest.raises(ParameterError, match="<!-- evaluation linear --> and <!-- end linear -->"):
+        put_tables(page, read)
+
+
+def test_entries_are_named_grouped_and_refused(scenario, two_seeds, tmp_path):
+    paths = ",".join(str(two_seeds / seed) for seed in "01")
+    found = contestant(f"both={paths}", scenario)
+    assert (found.name, len(found.policies)) == ("both", 2)
+    assert contestant("policy", scenario).policies[0].card == load_policy(shipped_policy()).card
+    with pytest.raises(ScenarioError, match="did you mean 'policy'"):
+        contestant("polcy", scenario)
+    with pytest.raises(PolicyFileError, match=r"holds no policy\.safetensors or best"):
+        contestant(str(tmp_path), scenario)
+    with pytest.raises(PolicyFileError, match="observation size"):
+        contestant(str(two_seeds), make_scenario("laboratory"))
+    with pytest.raises(ParameterError, match="two rows have one name"):
+        evaluate(scenario, [Contestant("none"), Contestant("none")], earthquakes=2)
+    with pytest.raises(ParameterError, match="earthquakes = 1"):
+        evaluate(scenario, [], earthquakes=1)
+
+
+def test_the_command_writes_what_it_prints(tmp_path, capsys):
+    file = tmp_path / "out" / "result.json"
+    words = ["evaluate", "policy", "--earthquakes", "3", "--duration", "1", "--no-fidelity"]
+    assert main([*words, "--output", str(file), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert json.loads(file.read_text()) == found
+    assert found["scenario_options"] == {"scenario": "linear", "duration": 1.0}
+    assert main([*words, "--output", str(file)]) == 0
+    assert re.search(r"\| policy \| 1 \| [01]\.", capsys.readouterr().out)

@@ -1,0 +1,112 @@
+"""Commands do what was asked, or say what they do instead."""
+
+import json
+
+import pytest
+
+from agents.__main__ import main
+from agents.evaluation.compare import compare
+from agents.evaluation.results import cost_text
+from agents.reporting.benchmark_tables import markdown
+from agents.reporting.comparison_tables import print_tables
+from shake_env import make_scenario
+from shake_env.errors import ScenarioError
+
+SHORT = make_scenario("linear", {"duration": 0.4})
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["compare", "--controllers"], ["robustness", "--controllers"], ["evaluate"],
+     ["bench", "--controllers"], ["bench", "--scenarios"]],
+)  # fmt: skip
+def test_an_empty_list_of_names_is_refused(arguments, capsys):
+    assert main([*arguments, "--json"]) == 2
+    assert "name at least one" in capsys.readouterr().err
+
+
+def test_lqr_is_refused_where_signals_are_measured():
+    scenario = make_scenario("laboratory", {"duration": 0.4})
+    with pytest.raises(ScenarioError, match="needs the full state: use lqg"):
+        compare(scenario, ["lqr"], noise=1, records=False)
+
+
+def test_one_earthquake_has_no_interval(capsys):
+    found = compare(SHORT, ["none"], noise=1, records=False)
+    row = next(s for s in found.summaries if s.controller == "none")
+    plain = next(s for s in found.to_json({})["summaries"] if s["controller"] == "none")
+    assert plain["relative_cost_low"] is None and plain["relative_cost_high"] is None
+    assert row.cost_text() == f"{row.relative_cost:.3f}" or "[" not in row.cost_text()
+    many = compare(SHORT, ["none"], noise=3, records=False)
+    assert "[" in next(s for s in many.summaries if s.controller == "none").cost_text()
+
+
+def test_costs_are_written_with_or_without_their_interval():
+    assert cost_text(1.23456, 1.1, 1.3) == "1.235 [1.100, 1.300]"
+    assert cost_text(18.6, 18.0, 19.0) == "18.6 [18.0, 19.0]"
+    assert cost_text(18.6, None, None) == "18.6"
+    assert cost_text(1.5, float("nan"), float("nan")) == "1.500"
+
+
+@pytest.fixture
+def bench(monkeypatch, tmp_path):
+    monkeypatch.setattr("agents.evaluation.benchmark.make_scenario", lambda name: SHORT)
+
+    def run(*arguments):
+        fixed = ["bench", "--scenarios", "linear", "--controllers", "none", "--results", str(tmp_path)]
+        return main([*fixed, *arguments])
+
+    return run
+
+
+def test_bench_runs_as_many_earthquakes_as_asked_or_says_so(bench, capsys, tmp_path):
+    assert bench("--earthquakes", "2") == 0
+    assert "2 earthquakes" in capsys.readouterr().out
+    assert bench("--earthquakes", "2") == 0
+    assert "made before with 2 earthquakes" in capsys.readouterr().out.replace("\n", " ")
+    assert bench("--earthquakes", "3") == 2
+    assert "was made with 2 earthquakes, not 3" in capsys.readouterr().err
+    assert bench("--earthquakes", "3", "--again", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["linear"]["rows"][0]["earthquakes"] == 3
+    file = tmp_path / "bench_linear.json"
+    file.write_text(file.read_text()[:100])
+    assert bench("--earthquakes", "3") == 2
+    assert "is no result of shake bench" in capsys.readouterr().err
+
+
+def test_bench_names_other_controllers_and_unknown_scenarios(bench, capsys):
+    assert bench("--earthquakes", "2") == 0
+    assert bench("--earthquakes", "2", "--controllers", "lqr") == 2
+    assert "was made with the controllers none, not lqr" in capsys.readouterr().err
+    assert main(["bench", "--scenarios", "linaer"]) == 2
+    assert "did you mean 'linear'" in capsys.readouterr().err
+
+
+def test_bench_writes_nothing_into_the_docs_unless_told(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("agents.evaluation.benchmark.make_scenario", lambda name: SHORT)
+    arguments = ["bench", "--scenarios", "linear", "--controllers", "none", "--earthquakes", "2"]
+    assert main(arguments) == 0
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_committed_results_are_still_tables():
+    """Results of before there were controllers and values in them can be read and shown."""
+    from pathlib import Path
+
+    from agents.evaluation.benchmark import CONTROLLERS, difference, read_results
+
+    results = read_results(Path(__file__).parents[3] / "docs" / "results")
+    assert len(results) == 5
+    for result in results:
+        assert "| controller |" in markdown(result)
+        assert difference(result, 200, CONTROLLERS, None) == ""
+    assert "200 earthquakes, not 20" in difference(results[0], 20, CONTROLLERS, None)
+
+
+def test_the_table_says_where_values_come_from(capsys):
+    from rich.console import Console
+
+    found = compare(make_scenario("linear", {"duration": 0.4}), ["tvc"], noise=2, records=False)
+    print_tables(found, Console(width=100))
+    assert "Parameter values: lqr, tvc: written rule." in capsys.readouterr().out

@@ -1,0 +1,245 @@
+"""A campaign: what is done is skipped, what was killed goes on, what fails stops no other."""
+
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agents.__main__ import main
+from agents.evaluation.protocol import contestant, evaluate
+from agents.experiments.recipes import ARENAS, RECIPES, Arena, Recipe
+from agents.experiments.results import evaluate_arena
+from agents.experiments.runner import Campaign, plan, plan_rows
+from agents.policies.base_law import base_law
+from agents.policies.estimated_law import EstimatedLaw
+from agents.policies.policy_file import load_policy
+from agents.scenario_options import ScenarioOptions
+from agents.training.algorithm_options import PPOOptions
+from agents.training.checkpoint import checkpoints
+from agents.training.config import TrainConfig
+from agents.training.model_factory import ALGORITHMS
+from agents.training.train import go_on, resume, train
+from shake_env.errors import ParameterError, RunDirectoryError, ScenarioError
+
+SMALL = TrainConfig(
+    ppo=PPOOptions(tables=4, rollout_steps=16, batch_size=64, epochs=1),
+    hidden=(8,),
+    episode=0.2,
+    total_steps=8_192,
+    evaluations=1,
+    evaluation_earthquakes=1,
+    checkpoint_interval=1e-9,
+)
+GOOD = Recipe(arena="linear", config=SMALL, minutes=0.1, seeds=1)
+BAD = Recipe(
+    arena="linear",
+    label="bad",
+    config=TrainConfig(scenario=ScenarioOptions("nowhere")),
+    minutes=0.1,
+    seeds=1,
+)
+
+
+@pytest.fixture(scope="module")
+def campaigned(tmp_path_factory):
+    """A campaign that was interrupted once, beside a run that fails."""
+    folder = tmp_path_factory.mktemp("campaign")
+
+    def cut(campaign):
+        if len(checkpoints(folder / "linear/ppo/0")) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Campaign(plan([GOOD], folder), 1).run(cut)
+    assert not (folder / "linear/ppo/0/result.json").exists()
+    begun = plan([GOOD, BAD], folder)
+    assert [task.state for task in begun] == ["begun", "waiting"]
+    assert 0.0 < begun[0].share < 1.0
+    campaign = Campaign(begun, 2)
+    seen = []
+    campaign.run(lambda campaign: seen.append(campaign.seconds_left()))
+    return folder, campaign, seen
+
+
+def test_an_interrupted_campaign_ends_as_if_it_had_not_been(campaigned, tmp_path):
+    folder, campaign, seen = campaigned
+    assert campaign.tasks[0].state == "done"
+    train(SMALL, tmp_path / "whole")
+    whole, cut = (
+        load_policy(run / "policy.safetensors") for run in (tmp_path / "whole", folder / "linear/ppo/0")
+    )
+    for one, two in zip((*whole.weights, *whole.biases), (*cut.weights, *cut.biases), strict=True):
+        np.testing.assert_array_equal(one, two)
+    assert cut.card["command"] == "shake campaign --only linear/ppo"
+    assert cut.card["curve"][-1][0] == 8_192
+    assert seen[0] > seen[-1] == 0.0
+
+
+def test_a_run_that_fails_is_reported_and_stops_no_other(campaigned):
+    _, campaign, _ = campaigned
+    assert campaign.counts() == {"done": 1, "failed": 1}
+    assert list(campaign.failures()) == ["linear/bad/0"]
+    assert "nowhere" in campaign.failures()["linear/bad/0"]
+
+
+def test_what_is_done_is_done_and_another_configuration_is_left_alone(campaigned):
+    folder, _, _ = campaigned
+    assert plan([GOOD], folder)[0].state == "done"
+    changed = Recipe(arena="linear", config=TrainConfig(total_steps=99), minutes=0.1, seeds=1)
+    tasks = plan([changed], folder)
+    assert tasks[0].state == "foreign"
+    campaign = Campaign(tasks)
+    campaign.run()
+    assert "move it away" in campaign.failures()["linear/ppo/0"]
+    assert plan([GOOD], folder)[0].state == "done"
+
+
+def test_an_evaluation_holds_until_its_policies_change(campaigned, tmp_path):
+    folder = tmp_path / "campaign"
+    shutil.copytree(campaigned[0], folder)
+    arena = Arena(name="linear", options=ScenarioOptions(duration=1.0), rivals=("none",), earthquakes=2)
+    file, result, made = evaluate_arena(arena, folder, tmp_path / "results")
+    assert made
+    assert {row["controller"] for row in result["rows"]} == {"lqr", "ppo", "none"}
+    assert not evaluate_arena(arena, folder, tmp_path / "results")[2]
+    assert json.loads(file.read_text())["identity"] == result["identity"]
+    shutil.copytree(folder / "linear/ppo/0", folder / "linear/ppo/1")
+    _, result, made = evaluate_arena(arena, folder, tmp_path / "results")
+    assert made
+    assert next(row for row in result["rows"] if row["controller"] == "ppo")["runs"] == 2
+
+    # A row whose policies are gone stays beside a new one, and so does a row of whose policies some are
+    # gone: both keep the figures of what they were made of.
+    (folder / "linear/ppo/1").rename(folder / "linear/other")
+    assert not evaluate_arena(arena, folder, tmp_path / "results")[2]
+    shutil.rmtree(folder / "linear/ppo")
+    (folder / "linear/sac").mkdir()
+    (folder / "linear/other").rename(folder / "linear/sac/0")
+    _, later, made = evaluate_arena(arena, folder, tmp_path / "results")
+    assert made
+    before, after = ({row["controller"]: row for row in r["rows"]} for r in (result, later))
+    assert after.pop("sac")["run_costs"] == before["ppo"]["run_costs"][:1]
+    assert later["episodes"]["ppo"] == result["episodes"]["ppo"]
+    for figure, value in before["ppo"].items():
+        # Figures of costs come of those that are kept, to seven digits.
+        number = figure != "sources" and not isinstance(value, str | type(None))
+        assert after["ppo"][figure] == (pytest.approx(value, rel=1e-5) if number else value), figure
+    assert after["lqr"]["relative_cost"] == before["lqr"]["relative_cost"]
+
+    # Fewer others do not take the place of a row, and nothing stays of what was asked otherwise, or of
+    # what was run on tables that do otherwise now.
+    fewer = later["identity"]["rows"]["ppo"]
+    later["identity"]["rows"]["sac"] = ["0" * 64, "1" * 64]
+    file.write_text(json.dumps(later))
+    with pytest.raises(ParameterError, match="1 lie here, others than the 2"):
+        evaluate_arena(arena, folder, tmp_path / "results")
+    later["identity"]["rows"] = {"ppo": fewer}
+    later["episodes"]["none"]["cost"][0][0] *= 1.01
+    file.write_text(json.dumps(later))
+    with pytest.raises(ParameterError, match="fares otherwise now"):
+        evaluate_arena(arena, folder, tmp_path / "results")
+    other = replace(arena, options=ScenarioOptions(duration=1.0, set=("objective.force_weight=2",)))
+    with pytest.raises(ParameterError, match="no result of linear as it is asked for now"):
+        evaluate_arena(other, folder, tmp_path / "results")
+    assert evaluate_arena(other, folder, tmp_path / "results", again=True)[2]
+
+
+def test_a_run_of_another_version_is_foreign_and_never_touched(tmp_path):
+    run = tmp_path / "linear/ppo/0"
+    run.mkdir(parents=True)
+    (run / "config.json").write_text(json.dumps({**SMALL.to_json(), "an_option_of_then": 1}))
+    (run / "policy.safetensors").write_bytes(b"weights")
+    (task,) = plan([GOOD], tmp_path)
+    assert task.state == "foreign"
+    with pytest.raises(RunDirectoryError):
+        go_on(SMALL, run)
+    assert (run / "policy.safetensors").read_bytes() == b"weights"
+
+
+def test_a_run_that_was_interrupted_before_its_first_checkpoint_begins_anew(tmp_path):
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "config.json").write_text(json.dumps(SMALL.to_json()))
+    assert resume(run).steps == SMALL.steps
+    assert (run / "policy.safetensors").exists()
+
+
+def test_policies_cannot_take_a_controllers_name(campaigned):
+    scenario = ScenarioOptions(duration=0.5).build()
+    row = contestant(f"lqr={campaigned[0] / 'linear/ppo/0'}", scenario)
+    with pytest.raises(ParameterError, match="NAME=PATH"):
+        evaluate(scenario, [row], earthquakes=2)
+
+
+def test_a_worker_whose_campaign_is_gone_ends(tmp_path):
+    values = json.dumps(TrainConfig(**{**vars(SMALL), "total_steps": 100_000_000}).to_json())
+    code = (
+        "import subprocess, sys\n"
+        "p = subprocess.Popen([sys.executable, '-m', 'agents.experiments.worker', sys.argv[1], 'x'],"
+        " stdin=subprocess.PIPE, start_new_session=True)\n"
+        "p.stdin.write(sys.argv[2].encode()); p.stdin.close()\n"
+        "import pathlib, time\n"
+        "while not (pathlib.Path(sys.argv[1]) / 'progress.json').exists(): time.sleep(0.1)\n"
+        "print(p.pid)\n"
+    )
+    told = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "run"), values],
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    # The pipes that it inherited close when it ends: subprocess.run returned, so that it has ended.
+    assert int(told.stdout) > 0
+    assert "KeyboardInterrupt" in told.stderr
+    assert checkpoints(tmp_path / "run")
+
+
+def test_recipes_are_sound():
+    names = [recipe.name for recipe in RECIPES]
+    assert len(set(names)) == len(names)
+    arenas = {arena.name: arena for arena in ARENAS}
+    for recipe in RECIPES:
+        scenario = recipe.config.scenario.build()
+        tested = arenas[recipe.arena].options
+        trained = recipe.config.scenario
+        assert replace(trained, set=tested.set) == tested
+        assert trained.set[: len(tested.set)] == tested.set  # what differs in training is named behind
+        law = base_law(recipe.config.chosen.base, scenario)
+        size = law.observation_size if isinstance(law, EstimatedLaw) else len(law)
+        assert size == scenario.observation.size
+    for arena in ARENAS:
+        scenario = arena.options.build()
+        assert (arena.trained_on or arena.name) in {recipe.arena for recipe in RECIPES}
+        for rival in arena.rivals:
+            assert contestant(rival, scenario).name == rival
+    assert {recipe.config.algorithm for recipe in RECIPES if recipe.arena == "linear"} == set(ALGORITHMS)
+
+
+def test_seeds_stay_below_those_of_evaluation():
+    assert GOOD.with_seed(9).seed == 9
+    with pytest.raises(ParameterError, match="seed = 10"):
+        GOOD.with_seed(10)
+
+
+def test_the_plan_is_printed_with_minutes(tmp_path, capsys):
+    words = ["campaign", "--dry-run", "--folder", str(tmp_path), "--only", "linear/*", "--seeds", "2"]
+    assert main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [row["runs"] for row in found["plan"]] == [2] * len(ALGORITHMS)
+    minutes = sum(row["minutes_left"] for row in found["plan"])
+    assert found["minutes_left"] == pytest.approx(minutes / 2)
+    assert list(tmp_path.iterdir()) == []
+    assert main(words) == 0
+    assert "linear/tqc" in capsys.readouterr().out
+
+
+def test_only_names_recipes(tmp_path):
+    assert len(plan(RECIPES, tmp_path, ["linear/ppo"], 3)) == 3
+    with pytest.raises(ScenarioError, match="did you mean 'linear/ppo'"):
+        plan(RECIPES, tmp_path, ["linear/pp"])
+    assert {row["recipe"] for row in plan_rows(plan(RECIPES, tmp_path, ["*/sac"]))} == {
+        "linear/sac",
+        "yielding/sac",
+    }

@@ -1,0 +1,132 @@
+"""The search of a controller's free parameters: budget, resumption, and that it finds what is there."""
+
+import json
+
+import numpy as np
+import optuna
+import pytest
+
+from agents.__main__ import main
+from agents.experiments.controller_tuning import FAILED, keep, search, tune
+from baselines import registry
+from baselines.catalogue import BASELINES, Baseline, Tunable
+from baselines.lqr.sampled import LinearFeedback, sampled_lqr
+from baselines.registry import make_baseline
+from baselines.tuned_values import read_tuned
+from shake_env import make_scenario
+from shake_env.errors import NumericalError, ParameterError, ScenarioError
+
+SHORT = make_scenario("linear", {"duration": 0.5})  # 100 control periods
+
+
+def scaled_lqr(scenario, *, share, offset=0.0):
+    """LQR's gain times a share: at 1 it is the optimum, so that a search has something to find."""
+    if share > 4.0:
+        raise NumericalError("share", share, "too large a gain for this test")
+    return LinearFeedback(scenario, share * sampled_lqr(scenario.discrete, scenario.stage_cost).gain)
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    tunable = {"share": Tunable(0.1, 8.0, 0.2)}
+    entry = Baseline(scaled_lqr, "LQR's gain times a share", tunable)
+    monkeypatch.setitem(BASELINES, "scaled", entry)
+
+
+def test_it_finds_the_optimum_within_its_budget(bench, tmp_path):
+    found = tune("scaled", SHORT, tmp_path / "t.db", budget=25 * 800, earthquakes=8)
+    assert found.trials == 25 and found.table_steps == 25 * 800
+    assert found.cost < 0.5 * found.default_cost < FAILED
+    assert 0.6 < found.parameters["share"] < 1.6
+
+
+def test_a_search_goes_on_where_it_stopped(bench, tmp_path):
+    storage = tmp_path / "t.db"
+    first = tune("scaled", SHORT, storage, budget=4 * 800, earthquakes=8)
+    told = []
+    again = tune(
+        "scaled", SHORT, storage, budget=6 * 800, earthquakes=8, on_trial=lambda *a: told.append(a[:2])
+    )
+    assert first.trials == 4 and again.trials == 6 and told == [(5, 6), (6, 6)]
+    assert again.cost <= first.cost and again.default_cost == first.default_cost
+    same = tune("scaled", SHORT, tmp_path / "u.db", budget=4 * 800, earthquakes=8)
+    assert same.parameters == first.parameters  # the seed decides
+
+
+@pytest.mark.parametrize("total", [1, 3, 5])
+def test_a_search_that_was_cut_in_its_first_trial_keeps_the_defaults_cost(tmp_path, total):
+    tunable = {"x": Tunable(0.0, 10.0, 5.0, logarithmic=False)}
+    starts = [{"x": 5.0}, {"x": 1.0}, {"x": 9.0}]
+
+    def cost(values):
+        return (values["x"] - 1.0) ** 2
+
+    def cut(values):
+        raise KeyboardInterrupt
+
+    def run(name, cost):
+        return search(cost, tunable, tmp_path / "t.db", name, total, 0, lambda *a: None, starts)
+
+    whole = run("whole", cost)
+    with pytest.raises(KeyboardInterrupt):
+        run("cut", cut)
+    resumed = run("cut", cost)
+    assert resumed.default_cost == whole.default_cost == 16.0
+    assert (resumed.trials, resumed.cost, resumed.parameters) == (total, whole.cost, whole.parameters)
+    # Cut in the second one, too, and as earlier versions left it: the others queued, the first lost.
+    study = optuna.create_study(study_name="queued", storage=f"sqlite:///{tmp_path / 't.db'}")
+    for start in starts:
+        study.enqueue_trial(start)
+    study.ask()
+    assert run("queued", cost).default_cost == 16.0
+
+
+def test_kept_results_are_what_the_registry_takes(bench, tmp_path, monkeypatch):
+    file = tmp_path / "tuned.json"
+    found = tune("scaled", SHORT, tmp_path / "t.db", budget=3 * 800, earthquakes=8)
+    keep(found, file)
+    monkeypatch.setattr(registry, "packaged_values", lambda: read_tuned(file))
+    row = make_baseline("scaled", SHORT)._row
+    expected = scaled_lqr(SHORT, **found.parameters)._row
+    np.testing.assert_array_equal(row, expected)
+    with pytest.raises(ScenarioError, match="parameter of scaled"):
+        make_baseline("scaled", SHORT, {"shar": 1.0})
+
+
+def test_command_prints_one_json_object(bench, tmp_path, capsys):
+    arguments = ["tune", "scaled", "--duration", "0.5", "--budget", "1600", "--earthquakes", "8"]
+    assert main([*arguments, "--storage", str(tmp_path / "t.db"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["trials"] == 2 and found["controller"] == "scaled"
+
+
+def test_a_repeated_test_is_paid_for(tmp_path):
+    # 100 periods, ten tests.
+    found = tune("iteration", SHORT, tmp_path / "t.db", budget=3_000, earthquakes=1)
+    assert found.trials == 3 and found.table_steps == 3_000
+
+
+def test_all_tunes_whatever_has_something_to_tune(bench, tmp_path, monkeypatch, capsys):
+    for name in set(BASELINES) - {"scaled", "lqr", "mpc"}:
+        monkeypatch.delitem(BASELINES, name)
+    arguments = ["tune", "all", "--duration", "0.5", "--budget", "1600", "--earthquakes", "8"]
+    assert main([*arguments, "--storage", str(tmp_path / "t.db"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["scaled"]["trials"] == 2
+    assert "no free parameter" in found["lqr"]["left_out"]
+    assert "without limits" in found["mpc"]["left_out"]
+
+
+@pytest.mark.parametrize(
+    ("name", "budget", "error"),
+    [("absent", 10_000, ScenarioError), ("lqr", 10_000, ParameterError), ("scaled", 10, ParameterError)],
+)
+def test_what_cannot_be_searched_is_named(bench, tmp_path, name, budget, error):
+    with pytest.raises(error):
+        tune(name, SHORT, tmp_path / "t.db", budget=budget, earthquakes=8)
+
+
+def test_a_tunable_range_must_hold_its_default():
+    for values in ((2.0, 1.0, 1.5), (0.0, 1.0, 0.5), (1.0, 2.0, 3.0)):
+        with pytest.raises(ParameterError, match="tunable range"):
+            Tunable(*values)

@@ -1,0 +1,379 @@
+"""A recipe's search: valid values, the same trials however often it is cut, a trace that is kept."""
+
+import json
+import math
+import os
+from dataclasses import replace
+
+import optuna
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agents.__main__ import main
+from agents.evaluation.benchmark import TEST_SEED
+from agents.experiments import recipes
+from agents.experiments.recipes import RECIPES, Recipe
+from agents.experiments.search import Search, find_recipe, open_study, search_recipe, trace_of
+from agents.experiments.search_figure import search_figure
+from agents.experiments.search_objective import Judge, OutOfTimeError, PrunedError, Validation
+from agents.experiments.search_space import Choice, Range, own_values, space, suitable_laws, trial_config
+from agents.experiments.search_trace import (
+    Trace,
+    TrialRow,
+    markdown,
+    put_searches,
+    read_trace,
+    write_trace,
+)
+from agents.progress import Progress
+from agents.run_directory import locked
+from agents.training.algorithm_options import PPOOptions, SACOptions
+from agents.training.config import TrainConfig, config_of
+from agents.training.train import EVALUATION_SEED
+from baselines.lqr.sampled import lqr
+from shake_env.errors import ParameterError, RunDirectoryError, ScenarioError
+
+SMALL = TrainConfig(
+    ppo=PPOOptions(tables=4, rollout_steps=16, batch_size=32, epochs=1),
+    hidden=(8,),
+    episode=0.2,
+    total_steps=1_024,
+    evaluations=8,
+    evaluation_earthquakes=1,
+    checkpoint_interval=1e-9,
+)
+TINY = Recipe(arena="linear", config=SMALL, minutes=0.1)
+SEARCH = Search(recipe=TINY, share=0.5, earthquakes=2)
+
+
+# The space
+
+
+@pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.name)
+def test_whatever_is_drawn_is_a_valid_run_and_the_recipe_is_among_it(recipe):
+    knobs, own = space(recipe), own_values(recipe)
+    start = trial_config(recipe, {knob.name: own[knob.name] for knob in knobs}, 1.0)
+    assert start.chosen == recipe.config.chosen
+    assert (start.steps, start.lookahead) == (recipe.config.steps, recipe.config.lookahead)
+    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=1))
+    drawn = set()
+    for _ in range(25):
+        trial = study.ask()
+        values = {knob.name: knob.suggest(trial) for knob in knobs}
+        config = trial_config(recipe, values, 0.3)  # its own checks are TrainConfig's
+        assert config_of(json.loads(json.dumps(config.to_json()))) == config
+        assert config.steps == math.ceil(0.3 * recipe.config.steps)
+        assert config.scenario == recipe.config.scenario
+        drawn.add(json.dumps(config.to_json()))
+    assert len(drawn) == 25
+    for knob in knobs:
+        if isinstance(knob, Range):
+            assert knob.low <= own[knob.name] <= knob.high
+        else:
+            assert own[knob.name] in knob.values and len(knob.values) > 1
+
+
+@settings(max_examples=60, deadline=None)
+@given(tables=st.integers(1, 300), length=st.integers(1, 300), data=st.data())
+def test_a_batch_divides_every_roll_out(tables, length, data):
+    samples = tables * length
+    parts = data.draw(st.sampled_from([n for n in range(1, 17) if samples % n == 0]))
+    options = PPOOptions(tables=tables, rollout_steps=length, batch_size=samples // parts)
+    recipe = Recipe(arena="linear", config=TrainConfig(ppo=options), minutes=1.0)
+    knobs = {knob.name: knob for knob in space(recipe)}
+    for steps in knobs["rollout_steps"].values:
+        for pieces in knobs["minibatches"].values:
+            config = trial_config(recipe, {"rollout_steps": steps, "minibatches": pieces}, 1.0)
+            assert config.ppo.batch_size * pieces == tables * steps
+    own = own_values(recipe)
+    assert trial_config(recipe, {n: own[n] for n in knobs}, 1.0).ppo == options
+
+
+def test_a_search_keeps_what_a_recipe_claims():
+    assert suitable_laws(find_recipe("linear/ppo")) == ("none",)  # from nothing
+    assert suitable_laws(find_recipe("linear/sac")) == ("flow",)  # LQR is the optimum there
+    assert "lqr" in suitable_laws(find_recipe("yielding/sac"))
+    laws = suitable_laws(find_recipe("laboratory/analytic"))
+    assert "lqg-accommodating" in laws and not {"none", "flow", "lqr", "preview-lqr"} & set(laws)
+    assert "memory" in own_values(find_recipe("unknown-specimen/analytic"))
+    assert "memory" not in own_values(find_recipe("linear/analytic"))
+
+
+def test_ranges_widen_to_what_a_recipe_has():
+    wide = replace(TINY, config=replace(SMALL, horizon=30.0))
+    knob = next(knob for knob in space(wide) if knob.name == "horizon")
+    assert knob.high == 30.0 and knob.low == 0.05
+    with pytest.raises(ParameterError, match="low must lie below high"):
+        Range(name="x", meaning="x [-]", low=0.0, high=1.0)
+    assert Choice(name="x", meaning="x", values=(8, 32)).holding(16).values == (8, 16, 32)
+
+
+def test_its_earthquakes_are_nobody_elses():
+    config = trial_config(TINY, {}, 0.5)
+    first = config.seed * 100_000
+    assert first + 10_000 < EVALUATION_SEED  # lanes begin at consecutive seeds
+    seeds = [quake.seed for quake in Validation(TINY, 3).earthquakes]
+    assert seeds == [3_000_000, 3_000_001, 3_000_002]
+    assert EVALUATION_SEED < 2_000_000 < seeds[0] < seeds[-1] < TEST_SEED
+
+
+# The search
+
+
+def test_the_reference_costs_what_it_costs():
+    validation = Validation(TINY, 2)
+    found = validation.judge(lqr(validation.scenario))
+    assert found == {"cost": 1.0, "low": 1.0, "high": 1.0, "lost": 0}
+    assert validation.reference == "lqr" and validation.reference_lost == 0
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole")
+    return search_recipe(SEARCH, folder / "r.db", folder, trials=3)
+
+
+def essence(trace):
+    """What decides a trial and what came of it; numbers have gaps where a trial was cut."""
+    return [(row.values, row.cost, row.ratio, row.lost, row.state, row.recipe) for row in trace.trials]
+
+
+def test_the_first_trial_is_the_recipe(whole):
+    assert [row.recipe for row in whole.trials] == [True, False, False]
+    assert whole.trials[0].values == whole.own
+    assert whole.start.cost == whole.trials[0].cost > 0.0
+    assert whole.best.cost == min(row.cost for row in whole.trials)
+    assert len({json.dumps(row.values) for row in whole.trials}) == 3
+    assert all(row.seconds > 0.0 for row in whole.trials)
+
+
+@pytest.mark.parametrize(
+    ("late", "trials"), [(False, 2), (True, 3)], ids=["at its first step", "at its last"]
+)
+def test_a_search_that_was_cut_ends_as_one_that_was_not(whole, tmp_path, late, trials):
+    storage = tmp_path / "r.db"
+
+    def cut(now):
+        told = now.progress
+        if now.done == 1 and told is not None and (told.steps > 0) == late:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        search_recipe(SEARCH, storage, tmp_path, trials=trials, on_update=cut)
+    assert len(search_recipe(SEARCH, storage, tmp_path, trials=1).trials) == 1
+    seen = []
+    again = search_recipe(SEARCH, storage, tmp_path, trials=trials, on_update=seen.append)
+    assert essence(again) == essence(whole)[:trials]
+    assert (tmp_path / SEARCH.name / "1" / "result.json").exists()  # the run that was cut, gone on with
+    assert not (tmp_path / SEARCH.name / "2").exists()
+    assert not list((tmp_path / SEARCH.name).glob("*/checkpoints"))
+    assert [now.done for now in seen if now.progress is None] == list(range(2, trials + 1))
+    assert seen[-1].seconds_left == 0.0 and seen[-1].best == again.best.cost
+    # What is done is not done again.
+    assert search_recipe(SEARCH, storage, tmp_path, trials=trials) == again
+
+
+def test_time_ends_a_search_and_the_trial_stays(tmp_path):
+    trace = search_recipe(SEARCH, tmp_path / "r.db", tmp_path, trials=3, minutes=1e-9)
+    assert trace.trials == ()
+    study = open_study(SEARCH, tmp_path / "r.db")
+    judge = Judge(study.ask(), trial_config(TINY, {}, 0.5), tmp_path, until=0.0)
+    with pytest.raises(OutOfTimeError):
+        judge(Progress(10, 512, 1.0, None))
+    judge(Progress(512, 512, 1.0, None))  # a run that is through is not thrown away
+
+
+@pytest.fixture
+def led(tmp_path):
+    """A study, in Optuna's own storage, of five trials that reached a thousandth of the cost."""
+    search = replace(SEARCH, share=1.0)
+    study = open_study(search, tmp_path / "r.db")
+    knobs, own = space(TINY), own_values(TINY)
+    for _ in range(6):
+        study.enqueue_trial({knob.name: own[knob.name] for knob in knobs})
+    for _ in range(5):
+        before = study.ask()
+        for knob in knobs:
+            knob.suggest(before)
+        for place in range(21):
+            before.report(1e-3, place)
+        study.tell(before, 1e-3)
+    return search, study
+
+
+def test_a_trial_behind_the_others_is_ended(led, tmp_path):
+    search, study = led
+    search_recipe(search, tmp_path / "r.db", tmp_path, trials=6)
+    last = study.get_trials()[-1]
+    assert last.state.name == "PRUNED" and "cost" not in last.user_attrs
+    assert last.user_attrs["ratio"] == min(last.intermediate_values.values()) > 1e-3
+    assert not (tmp_path / search.name / str(last.number) / "result.json").exists()
+    assert trace_of(search, study).trials[-1].state == "pruned"
+
+
+def test_what_is_judged_is_the_policy_that_a_run_keeps(led, tmp_path):
+    _, study = led
+    config, now = trial_config(TINY, {}, 1.0), Progress(900, 1_024, 1.0, None)
+
+    def evaluated(*rows):
+        lines = [json.dumps({"steps": s, "cost_ratio": c}) for s, c in rows]
+        (tmp_path / "evaluations.jsonl").write_text("\n".join(lines))
+        return Judge(study.ask(), config, tmp_path)
+
+    judge = evaluated((0, 1e-4), (512, math.nan), (640, 9.0))
+    judge(now)  # its first is ahead of every other trial
+    assert judge.best == 1e-4
+    with pytest.raises(PrunedError):  # it caught up, but was behind before
+        evaluated((0, 2e-3), (512, 2e-3), (768, 1e-4))(now)
+    evaluated((0, 2e-3), (128, 2e-3), (512, 1e-4))(now)  # a beginning is let be
+    evaluated((0, 2e-3), (1_024, 2e-3))(now)  # so is an end
+
+
+def test_a_storage_with_another_recipe_and_a_foreign_run_are_left_alone(tmp_path):
+    storage = tmp_path / "r.db"
+    open_study(SEARCH, storage)
+    other = replace(SEARCH, recipe=replace(TINY, config=replace(SMALL, hidden=(16,))))
+    with pytest.raises(ParameterError, match="another --storage"):
+        open_study(other, storage)
+    config, knobs = json.loads(SEARCH.identity())
+    del config["episode"]
+    assert not SEARCH.same(json.dumps([config, knobs]))
+    del config["threads"]  # as of a version before there was that option: its default is this search's
+    config["episode"] = 0.2
+    assert SEARCH.same(json.dumps([config, knobs]))
+    run = tmp_path / SEARCH.name / "0"
+    run.mkdir(parents=True)
+    (run / "config.json").write_text(json.dumps(SMALL.to_json()))
+    with pytest.raises(RunDirectoryError, match="move it away"):
+        search_recipe(SEARCH, storage, tmp_path, trials=1)
+    assert trace_of(SEARCH, open_study(SEARCH, storage)).trials == ()
+
+
+def test_two_processes_do_not_run_one_search(tmp_path):
+    with (
+        locked(tmp_path / SEARCH.name),
+        pytest.raises(RunDirectoryError, match=f"in use by process {os.getpid()}"),
+    ):
+        search_recipe(SEARCH, tmp_path / "r.db", tmp_path, trials=1)
+
+
+@pytest.mark.parametrize(
+    ("changed", "remedy"),
+    [
+        ({"share": 0.0}, "at most 1"),
+        ({"share": 1.5}, "at most 1"),
+        ({"seed": -1}, "at least 0"),
+        ({"earthquakes": 0}, "at least 1"),
+    ],
+)
+def test_what_cannot_be_searched_is_named(changed, remedy):
+    with pytest.raises(ParameterError, match=remedy):
+        replace(SEARCH, **changed)
+
+
+def test_a_share_that_ends_within_the_warm_up_is_named():
+    config = TrainConfig(algorithm="sac", sac=SACOptions(warmup_steps=20_000))
+    with pytest.raises(ParameterError, match=r"above 0\.08"):
+        Search(recipe=Recipe(arena="linear", config=config, minutes=1.0), share=0.05)
+
+
+# The trace
+
+
+def made(**changed):
+    """A trace with a trial of each kind."""
+    knobs = space(find_recipe("yielding/sac"))
+    own = {k.name: own_values(find_recipe("yielding/sac"))[k.name] for k in knobs}
+    held = {"low": 0.9, "high": 1.1, "lost": 0, "ratio": 1.0, "seconds": 3_600.0, "code": "abc"}
+    rows = [
+        TrialRow(number=0, state="complete", values=own, cost=1.0, recipe=True, **held),
+        TrialRow(number=1, state="pruned", values={**own, "horizon": 1.5}, cost=None, ratio=4.0),
+        TrialRow(number=3, state="complete", values={**own, "authority": 0.4}, cost=0.8, **held),
+        TrialRow(
+            number=4,
+            state="complete",
+            values={**own, "base": "lqr"},
+            cost=50.0,
+            **{**held, "lost": 3},
+        ),
+        TrialRow(number=5, state="failed", values=own, cost=None, failure="ValueError: nan"),
+    ]
+    values = {
+        "recipe": "yielding/sac", "share": 0.3, "steps": 75_000, "seed": 0, "train_seed": 9,
+        "earthquakes": 64, "validation_seed": 3_000_000, "reference": "preview-lqr",
+        "reference_lost": 0, "version": "1", "machine": "m", "space": knobs, "own": own,
+        "trials": tuple(rows),
+    }  # fmt: skip
+    return Trace(**{**values, **changed})
+
+
+def test_a_trace_comes_back_as_it_was(whole, tmp_path):
+    for trace in (whole, made()):
+        write_trace(trace, tmp_path / "recipe_x.json")
+        assert read_trace(tmp_path / "recipe_x.json") == trace
+    plain = json.loads((tmp_path / "recipe_x.json").read_text())
+    counts = {"complete": 3, "failed": 1, "pruned": 1, "processor_seconds": 10_800.0}
+    assert plain["budget"] == counts
+    assert [row["lost"] for row in plain["trials"]] == [0, None, 0, 3, None]
+    assert plain["trials"][4]["failure"] == "ValueError: nan"
+
+
+def test_a_trace_that_cannot_be_is_named(tmp_path):
+    with pytest.raises(ParameterError, match="nothing to keep"):
+        write_trace(made(trials=()), tmp_path / "x.json")
+    with pytest.raises(ParameterError, match="recipe_linear_ppo"):
+        write_trace(made(), tmp_path / "x.txt")
+    for text in ("", "[]", '{"format": "other"}'):
+        (tmp_path / "x.json").write_text(text)
+        with pytest.raises(ParameterError, match="no trace"):
+            read_trace(tmp_path / "x.json")
+
+
+def test_a_page_gets_its_searches_between_the_markers(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- recipe searches -->\nold\n<!-- end recipe searches -->\nafter\n")
+    put_searches(page, [made()])
+    first = page.read_text()
+    put_searches(page, [made()])
+    assert page.read_text() == first  # made anew, the same
+    assert first.startswith("before\n") and first.endswith("\nafter\n") and "old" not in first
+    assert "| cost [95 %] | | 1 [0.9, 1.1] | 0.8 [0.9, 1.1] | to 0.8 |" in first
+    assert "3 complete, 1 failed, 1 pruned" in first and "3.0 hours" in first
+    assert "figures/recipe_yielding_sac.png" in first
+    assert "No trial came to be judged" in markdown(made(trials=made().trials[1:2]), "figures")
+    put_searches(page, [])
+    assert page.read_text() == (
+        "before\n<!-- recipe searches -->\n<!-- end recipe searches -->\nafter\n"
+    )
+    page.write_text("nothing\n")
+    with pytest.raises(ParameterError, match="put the lines"):
+        put_searches(page, [made()])
+
+
+def test_a_figure_has_a_panel_for_each_value(tmp_path):
+    file = search_figure(made(), tmp_path)
+    assert file.name == "recipe_yielding_sac.png" and file.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_command_goes_on_keeps_and_renews(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(recipes, "RECIPES", (TINY,))
+    kept, page = tmp_path / "kept" / "recipe_linear_ppo.json", tmp_path / "page.md"
+    page.write_text("<!-- recipe searches -->\n<!-- end recipe searches -->\n")
+    words = ["recipe-search", "linear/ppo", "--share", "0.5", "--earthquakes", "2", "--json"]
+    words += ["--storage", str(tmp_path / "r.db"), "--folder", str(tmp_path / "runs")]
+    assert main([*words, "--trials", "1"]) == 0
+    first = json.loads(capsys.readouterr().out)
+    assert main([*words, "--trials", "2"]) == 0
+    second = json.loads(capsys.readouterr().out)
+    assert second["trials"][0] == first["trials"][0] and len(second["trials"]) == 2
+    words += ["--trials", "0", "--keep", str(kept), "--page", str(page), "--results", str(kept.parent)]
+    assert main(words) == 0
+    assert json.loads(capsys.readouterr().out) == second
+    assert read_trace(kept).to_json() == second
+    assert "### linear/ppo" in page.read_text()
+    assert (tmp_path / "figures" / "recipe_linear_ppo.png").is_file()
+    assert main(["recipe-search", "linear/pop"]) == 2
+    assert "linear/ppo" in capsys.readouterr().err
+    with pytest.raises(ScenarioError):
+        find_recipe("linear/sac")

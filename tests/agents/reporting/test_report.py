@@ -1,0 +1,406 @@
+"""The report of a comparison: its numbers against theory, its page against what a page must be."""
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from agents.__main__ import main
+from agents.evaluation.compare import compare, summarise
+from agents.evaluation.fidelity import Fidelity
+from agents.evaluation.results import Comparison
+from agents.reporting.report import Gathered, channels, make_report, policy_files_of, unique_labels
+from agents.reporting.report_data import page_data
+from agents.reporting.report_estimates import Drawn, TransferEstimate, lqr_frontier
+from agents.reporting.report_page import page, unbroken, write_report
+from agents.reporting.report_traces import LEVELS, Curves, pack, pack_all, unpack
+from agents.reporting.summary_text import verdict
+from agents.run_directory import learning_curve
+from baselines.lqr.sampled import lqr
+from shake_env import make_scenario
+from shake_env.model.plant import specimen_plant
+from shake_env.rollout import noise_earthquakes, rollout
+from shake_env.scenario.presets import NAMED
+from shake_env.simulation.metrics import EpisodeMetrics
+from shake_env.simulation.trajectory import Trajectory
+
+VOID = {"meta", "link", "br", "img", "input", "hr", "line"}
+
+
+def reported(scenario, names=("none",), **options):
+    gathered = Gathered(scenario)
+    found = compare(scenario, names, on_histories=gathered, **options)
+    return make_report(found, gathered, "shake compare")
+
+
+@pytest.fixture(scope="module")
+def linear():
+    return reported(make_scenario("linear", {"duration": 6.0}), noise=3, records=False)
+
+
+class Checked(HTMLParser):
+    """Elements must nest, identifiers be unique; keeps what tests ask for."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.ids, self.elements = [], [], []
+        self.feed(text)
+        self.close()
+        assert not self.open, self.open
+
+    def handle_starttag(self, tag, attrs):
+        attributes = dict(attrs)
+        self.elements.append((tag, attributes))
+        if "id" in attributes:
+            self.ids.append(attributes["id"])
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def all(self, tag):
+        return [attributes for each, attributes in self.elements if each == tag]
+
+
+# --- estimates against theory -----------------------------------------------------------------------
+
+
+def test_errors_by_frequency_differ_by_the_specimen_alone():
+    # f_s - f~_s = G_S (y_A - y~) exactly in the corrected model: the ratio of both estimates is |G_S|,
+    # whatever the controller does.
+    scenario = make_scenario("linear", {"duration": 24.0})
+    controller = lqr(scenario)
+    earthquakes = noise_earthquakes(scenario, 6, 4_000_000)
+    _, found = rollout(controller, scenario, earthquakes, record=range(6))
+    estimate = TransferEstimate(scenario.physics_step)
+    for trajectory in found.values():
+        estimate.add(trajectory)
+    frequency, acceleration, shear = estimate.response()
+    model = specimen_plant(scenario.specimen)
+    s = 2j * np.pi * frequency[:, None, None]
+    expected = np.abs(model.C @ np.linalg.inv(s * np.eye(model.order) - model.A) @ model.B)[:, 0, 0]
+    # A window of 4 s smears the first mode, 0.4 Hz wide at half power, over 0.25 Hz and a band: beside
+    # it the estimate is within a few percent, at it within a fifth.
+    ratio = shear / acceleration / expected
+    away = np.abs(frequency - 4.33) > 1.0
+    inside = away & (frequency > 0.7) & (frequency < 9.0)
+    np.testing.assert_allclose(ratio[inside], 1.0, atol=0.08)
+
+
+def test_a_table_that_stands_still_has_an_acceleration_error_of_one():
+    time = 1e-3 * np.arange(1, 10_001)
+    target = np.random.default_rng(0).standard_normal(len(time))
+    zero, none = np.zeros_like(time), np.zeros(2000)
+    still = Trajectory(
+        time, target, zero, 3.0 * target, zero, time[4::5], none, zero[:8000:1].reshape(2000, 4), none
+    )
+    estimate = TransferEstimate(1e-3)
+    assert not estimate.known
+    estimate.add(still)
+    _, acceleration, shear = estimate.response()
+    np.testing.assert_allclose(acceleration, 1.0, rtol=1e-12)
+    np.testing.assert_allclose(shear, 3.0, rtol=1e-12)
+
+
+def test_a_test_shorter_than_a_window_is_not_counted():
+    scenario = make_scenario("linear", {"duration": 1.0})
+    _, found = rollout(lqr(scenario), scenario, noise_earthquakes(scenario, 1), record=[0])
+    estimate = TransferEstimate(scenario.physics_step)
+    estimate.add(found[0])
+    assert not estimate.known
+
+
+def test_the_frontier_passes_through_the_design_and_never_turns_back():
+    points = np.array(lqr_frontier(make_scenario("linear")))
+    # SPEC's sampled LQR of equal weights, 200 Hz; the curve's middle weight keeps their product, not
+    # the current's share, so that it is the design itself.
+    assert np.min(np.linalg.norm(points - [0.441274, 0.072726], axis=1)) < 1e-6
+    assert np.all(np.diff(points[:, 0]) > 0)
+    assert np.all(np.diff(points[:, 1]) < 0)
+    assert lqr_frontier(make_scenario("laboratory")) == []
+
+
+# --- curves -----------------------------------------------------------------------------------------
+
+
+def curves(samples=500, rate=200.0, seed=0):
+    noise = np.cumsum(np.random.default_rng(seed).standard_normal((2, samples)), axis=1)
+    return Curves(rate, {"a": noise[0].astype(np.float32), "b": 1e-3 * noise[1].astype(np.float32)})
+
+
+def test_packed_curves_come_back_within_a_level():
+    given = curves()
+    back = unpack(json.loads(json.dumps(pack(given))))
+    assert back.rate == given.rate
+    for name, curve in given.values.items():
+        peak = np.max(np.abs(curve))
+        np.testing.assert_allclose(back.values[name], curve, atol=0.51 * peak / LEVELS)
+
+
+@pytest.mark.parametrize("curve", [[], [0.0, 0.0], [5.0, -5.0, 5.0], [np.nan, 1.0]])
+def test_any_curve_can_be_packed(curve):
+    back = unpack(pack(Curves(100.0, {"a": np.array(curve, dtype=np.float32)})))
+    np.testing.assert_allclose(back.values["a"], np.nan_to_num(curve), atol=0.01)
+
+
+def test_thinning_keeps_the_budget_and_thins_noise_first():
+    rows = [[curves(4000, seed=i), curves(4000, seed=9 + i)] for i in range(4)]
+    groups = ["records", "records", "filtered noise", "filtered noise"]
+    sizes = {}
+    for budget in (10**9, 60_000, 20_000):
+        packed = pack_all(rows, groups, budget)
+        sizes[budget] = sum(len(each["blob"]) for row in packed for each in row)
+        assert sizes[budget] <= budget
+        assert packed[0][0]["rate"] >= packed[3][0]["rate"]
+    assert packed[0][0]["rate"] < 200.0
+    first = pack_all(rows, groups, sizes[10**9] - 1)
+    assert (first[0][0]["rate"], first[3][0]["rate"]) == (200.0, 100.0)
+
+
+def test_curves_without_noise_are_thinned_too():
+    packed = pack_all([[curves(4000)]], ["records"], 3000)
+    assert len(packed[0][0]["blob"]) <= 3000
+
+
+# --- verdict ----------------------------------------------------------------------------------------
+
+
+def constructed(costs, groups=None, shear=None, **changes):
+    """A comparison whose costs are given, by controller; the first is the reference."""
+    number = len(next(iter(costs.values())))
+    groups = groups or ["filtered noise"] * number
+    shear = shear or {}
+    episodes = {
+        name: [
+            replace(
+                EpisodeMetrics(f"quake {i}", cost, 0.4, 0.5, 0.1, 0.1, 0.02, 0.3, 0.03, None),
+                base_shear_rms_error=shear.get(name, 0.1),
+                **changes,
+            )
+            for i, cost in enumerate(row)
+        ]
+        for name, row in costs.items()
+    }
+    reference = next(iter(costs))
+    good = [Fidelity(0.005, 0.2, 1.0, 1.0, 1.0)] * number
+    summaries = [
+        summarise(
+            name, group, [rows[i] for i in inside], [episodes[reference][i] for i in inside],
+            good[: len(inside)], 1e-5,
+        )
+        for group in dict.fromkeys(groups)
+        for inside in [[i for i, each in enumerate(groups) if each == group]]
+        for name, rows in episodes.items()
+    ]  # fmt: skip
+    fidelities = dict.fromkeys(episodes, good)
+    return Comparison(summaries, episodes, fidelities, {}, reference, "quake 0", [], {}, list(groups))
+
+
+def test_the_winner_is_who_costs_least_and_by_how_much():
+    found = verdict(
+        constructed(
+            {"lqr": [1.0, 2.0, 3.0, 4.0], "new": [0.8, 1.6, 2.4, 3.2], "clairvoyant": [0.1] * 4}
+        ),
+        make_scenario("laboratory"),
+    )
+    assert found.winner == "new"
+    assert found.wins == (
+        "On the 4 filtered noise earthquakes new wins: it costs 20.0 % less than lqr (95 % interval "
+        "20.0 to 20.0 %, beyond chance)."
+    )
+    assert found.loses == (
+        "new loses nowhere here: no other is ahead on any earthquake or in either error."
+    )
+    assert found.limits.endswith("who knew the plant and the coming target would cost 95 % less.")
+    assert "No limit is near (the current comes closest, at 50 %)" in found.limits
+    assert "off by 40.0 % and its base shear by 10.0 %" in found.limits
+
+
+def test_a_gap_that_chance_could_make_is_called_one():
+    found = verdict(
+        constructed({"lqr": [1.0, 2.0, 1.0, 2.0], "new": [0.9, 2.05, 1.1, 1.9]}),
+        make_scenario("laboratory"),
+    )
+    assert found.winner == "new"
+    assert "contains zero: chance alone could explain it" in found.wins
+    assert "on 2 of these 4 earthquakes taken one by one" in found.loses
+
+
+def test_where_the_winner_is_behind_is_said():
+    comparison = constructed(
+        {"lqr": [1.0, 1.0, 1.0, 2.0], "new": [0.5, 0.5, 0.5, 4.0]},
+        ["filtered noise"] * 3 + ["records"],
+        {"lqr": 0.05},
+    )
+    found = verdict(comparison, make_scenario("laboratory"), {"lqr": "LQR", "new": "New"}.__getitem__)
+    assert found.group == "filtered noise"
+    assert "on the 1 records, where LQR is ahead and it costs 2.00 times as much" in found.loses
+    assert "in base shear, where its error is 10.0 % and that of LQR 5.0 %" in found.loses
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"peak_displacement": 0.075}, "What limits new is the stroke, which reaches 99 % of its limit"),
+        ({"peak_current": 0.04}, "What limits new is the current, which reaches 100 % of its limit"),
+        ({"broken_limit": "table_velocity"}, "What limits new is the table: 2 of 2 tests ended"),
+    ],
+)
+def test_what_limits_is_named(changes, words):
+    comparison = constructed({"lqr": [1.0, 2.0], "new": [0.5, 1.0]}, **changes)
+    assert words in verdict(comparison, make_scenario("laboratory")).limits
+
+
+def test_one_controller_or_one_earthquake_is_no_contest():
+    alone = verdict(constructed({"lqr": [1.0, 2.0]}), make_scenario("laboratory"))
+    assert "only lqr was run" in alone.wins
+    single = verdict(constructed({"lqr": [1.0], "new": [0.5]}), make_scenario("laboratory"))
+    assert "one earthquake gives no interval" in single.wins
+
+
+# --- page -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_every_named_scenario_has_a_page(name):
+    scenario = make_scenario(name, {} if name == "records" else {"duration": 5.0})
+    report = reported(scenario, noise=2, records=False)
+    text = page(report, [])
+    found = Checked(text)
+    assert len(found.ids) == len(set(found.ids))
+    for sentence in report.verdict.sentences:
+        assert unbroken(sentence) in text
+    plots = {each["id"] for each in found.all("div") if each.get("class") == "plot"}
+    assert {"traces", "trade-off", "spectrum", "transfer-shear"} <= plots
+    assert ("hysteresis" in plots) == scenario.nonlinearity.yielding.active
+    assert ("robustness" in plots) == scenario.uncertainty.active
+
+
+def test_every_figure_lies_beside_the_page(tmp_path):
+    scenario = make_scenario("yielding", {"duration": 5.0})
+    report = reported(scenario, noise=2, records=False)
+    report = replace(
+        report,
+        drawn=Drawn({"mass_ratio": np.array([0.2, 0.6]), "storey_frequency": np.array([5.0, 8.0])}),
+        learning={"none": [(0, 9.0), (1000, 1.5)]},
+    )
+    paths = write_report(report, tmp_path)
+    names = ("trade_off", "traces", "spectra", "hysteresis", "transfer", "robustness", "learning")
+    assert [path.name for path in paths] == [
+        "index.html", *(f"{name}.{ending}" for name in names for ending in ("svg", "png"))
+    ]  # fmt: skip
+    linked = {each["href"] for each in Checked(paths[0].read_text(encoding="utf-8")).all("a")}
+    assert linked == {path.name for path in paths[1:]}
+    assert all(path.stat().st_size > 2000 for path in paths)
+
+
+def test_the_page_loads_nothing(linear):
+    text = page(linear, ["traces"])
+    found = Checked(text)
+    for _, attributes in found.elements:
+        for key in ("src", "href", "srcset", "data", "action"):
+            value = attributes.get(key, "data:,")
+            assert value == "data:," or value in ("traces.svg", "traces.png"), (key, value)
+    own = text[: text.index("/**")] + text[text.index('<script type="application/json"') :]
+    assert "://" not in own
+    assert "@import" not in own
+    assert "url(" not in own
+
+
+def test_the_page_is_accessible_by_structure(linear):
+    found = Checked(page(linear, []))
+    assert found.all("html") == [{"lang": "en"}]
+    assert len(found.all("h1")) == 1
+    assert len(found.all("caption")) == len(found.all("table")) >= 1
+    assert all(each.get("scope") in ("col", "row") for each in found.all("th"))
+    labelled = {each.get("for") for each in found.all("label")}
+    inputs = {each["id"] for tag in ("input", "select") for each in found.all(tag)}
+    assert inputs <= labelled
+    assert all(each.get("aria-label") for each in found.all("div") if each.get("class") == "plot")
+
+
+def test_the_page_holds_the_numbers(linear):
+    data = page_data(linear)
+    text = page(linear, [])
+    inside = re.search(r'id="report-data">(.*?)</script>', text, re.DOTALL)
+    assert json.loads(inside[1]) == json.loads(json.dumps(data))
+    assert [c["label"] for c in data["controllers"]] == ["LQR", "none"]
+    rows = linear.comparison.episodes["lqr"]
+    for quake, row in zip(data["earthquakes"], rows, strict=True):
+        assert quake["errors"][0][0] == pytest.approx(100 * row.acceleration_rms_error, rel=1e-3)
+        back = unpack(quake["runs"][0])
+        assert len(back.values["stroke"]) == 1200
+        assert np.max(np.abs(back.values["current"])) == pytest.approx(1e3 * row.peak_current, rel=1e-2)
+
+
+@pytest.mark.parametrize("hostile", ['</script><img src=x onerror="alert(1)">', "<!--<script>"])
+def test_names_cannot_break_out_of_the_page(linear, hostile):
+    labels = {name: hostile + name for name in linear.labels}
+    text = page(replace(linear, labels=labels), [])
+    found = Checked(text)
+    assert not found.all("img")
+    # "<!--<script>" inside a script element hides the end tag that follows: no "<" may be in the data.
+    data = re.search(r'id="report-data">(.*?)</script>', text, re.DOTALL)[1]
+    assert "<" not in data
+    assert hostile in json.dumps(json.loads(data), ensure_ascii=False).replace('\\"', '"')
+
+
+def test_limits_stand_with_their_panels():
+    by_key = {channel.key: channel for channel in channels(make_scenario("laboratory"))}
+    assert by_key["stroke"].limit == pytest.approx(76.0)
+    assert by_key["current"].limit == pytest.approx(40.0)
+    assert by_key["pressure"].limit == pytest.approx(21.0)
+    assert by_key["shear"].limit is None
+    assert {c.key: c.limit for c in channels(make_scenario("linear"))}["stroke"] is None
+
+
+def test_labels_are_short_and_differ():
+    names = ["lqr", "runs/a/one", "runs/b/one", "runs/c/policy.safetensors", "best.safetensors"]
+    assert list(unique_labels(names).values()) == ["LQR", "a/one", "b/one", "c", "best"]
+
+
+def test_a_run_directory_has_its_learning_curve(tmp_path):
+    rows = [
+        {"steps": 0, "seconds": 1.0, "cost_ratio": 9.0},
+        {"steps": 10, "seconds": 2.0, "cost_ratio": 1.5},
+    ]
+    lines = [json.dumps(row) for row in rows]
+    (tmp_path / "evaluations.jsonl").write_text("\n".join([*lines, '{"steps": 20, "co']))
+    assert learning_curve(str(tmp_path)) == [(0, 9.0), (10, 1.5)]
+    assert learning_curve("lqr") == []
+
+
+def test_the_command_writes_the_report_it_names(tmp_path, capsys):
+    folder = tmp_path / "report"
+    arguments = [
+        "compare",
+        "--no-records",
+        "--noise",
+        "2",
+        "--duration",
+        "2",
+        "--controllers",
+        "none",
+        "--output",
+    ]
+    assert main([*arguments, str(tmp_path / "out"), "--report", str(folder)]) == 0
+    written = "".join(capsys.readouterr().out.split())  # a narrow terminal folds paths
+    assert f"wrote{folder}/index.html" in written
+    text = (folder / "index.html").read_text(encoding="utf-8")
+    # Two seconds are shorter than a window of the spectral estimate: its panel is left out, not empty.
+    plots = {each["id"] for each in Checked(text).all("div") if each.get("class") == "plot"}
+    assert plots == {"trade-off", "traces", "spectrum", "ratio"}
+    assert not (folder / "transfer.png").exists()
+
+
+def test_a_shipped_policy_is_the_scenarios_own():
+    found = policy_files_of(["lqg", "analytic"], "laboratory")
+    assert list(found) == ["analytic"]
+    assert found["analytic"].card["config"]["scenario"]["scenario"] == "laboratory"

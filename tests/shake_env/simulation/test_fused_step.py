@@ -1,0 +1,272 @@
+"""The fused step against the readable model that it repeats, and what it must not break."""
+
+import copy
+import pickle
+import sys
+from dataclasses import fields, replace
+
+import gymnasium
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from shake_env import Envelope, FilteredNoise, RecordedMotion, Sensing, Sensor, make_scenario
+from shake_env import numba_support as compilation
+from shake_env.dynamics.nonlinear import controlled_scale
+from shake_env.env import INFO_KEYS
+from shake_env.kernels.lanes import BLOCK, SOURCES, stamp
+from shake_env.model.nonlinearity import Friction, Nonlinearity, ServoValve, StrokeStops, Yielding
+from shake_env.scenario.limits import Limits
+from shake_env.scenario.uncertainty import Uncertainty, Uniform
+from shake_env.simulation import simulation
+from shake_env.simulation.simulation import Simulation
+
+LABORATORY = Nonlinearity(
+    friction=Friction(coulomb=150.0),
+    valve=ServoValve(supply_pressure=21e6, spool_limit=2e-5),
+    stops=StrokeStops(gap=0.076),
+)
+NOISY = tuple(
+    Sensor(signal=name, noise=noise, bias=noise, resolution=resolution, lowpass_frequency=lowpass)
+    for name, noise, resolution, lowpass in (
+        ("floor_accelerations", 0.02, 0.0, None),
+        ("table_acceleration", 0.05, 0.01, 80.0),
+        ("base_shear", 1.0, 0.0, 40.0),
+        ("spool_position", 0.0, 1e-9, None),
+        ("load_pressure", 1e3, 640.0, None),
+    )
+)
+SCENARIOS = st.fixed_dictionaries(
+    {
+        "stories": st.integers(1, 6),
+        "physics_step": st.sampled_from([1e-3, 5e-4]),
+        "control_rate": st.sampled_from([100.0, 200.0, 500.0]),
+        "fields": st.sampled_from([{}, {"noise_directions": 1}, {"noise_directions": None}]),
+        "nonlinearity": st.sampled_from(
+            [Nonlinearity(), LABORATORY, Nonlinearity(yielding=Yielding(yield_drift=0.002))]
+        ),
+        "delay": st.sampled_from([0, 2, 2.5, 13]),
+        "uncertainty": st.sampled_from(
+            [
+                Uncertainty(),
+                Uncertainty(
+                    mass_ratio=Uniform(0.1, 1.0),
+                    coulomb_friction=Uniform(50.0, 300.0),
+                    delay=Uniform(0.0, 4.0),
+                ),
+            ]
+        ),
+        "sensing": st.sampled_from(
+            [
+                Sensing(),
+                Sensing(preview=0.1, last_action=True),
+                Sensing.laboratory(),
+                Sensing(sensors=NOISY, preview=0.05, preview_spacing=0.001, history=3),
+                Sensing(sensors=NOISY[1:2], last_action=True, history=2),
+            ]
+        ),
+        "limits": st.sampled_from(
+            [
+                Limits(),
+                Limits.laboratory(),
+                Limits(table_velocity=0.05, current=0.05, soft_weight=2.0, cost_horizon=0.2),
+                Limits(specimen_acceleration=1.0, table_acceleration=2.0, state_limit=5.0),
+            ]
+        ),
+        "motion": st.sampled_from(
+            [
+                FilteredNoise(duration=0.5),
+                FilteredNoise(duration=0.4, amplitude=0.3, envelope=Envelope(rise=0.2, hold=0.1)),
+                RecordedMotion(record="ridgecrest2019_ccc_90", duration=0.6),
+            ]
+        ),
+    }
+)
+
+
+def pair(scenario, lanes):
+    """Return a simulation that steps fused, and one that steps the model, begun alike."""
+    fused = Simulation(scenario, lanes)
+    assert fused._fused is not None
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compilation, "COMPILED", False)
+        plain = Simulation(scenario, lanes)
+    return fused, plain
+
+
+def uncompiled(call):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compilation, "COMPILED", False)
+        return call()
+
+
+def streams(lanes, seed):
+    return [np.random.default_rng([seed, lane]) for lane in lanes]
+
+
+def close(ours, theirs, size=None):
+    # Sums run in another order than BLAS's: 1e-15 a step, which 70 steps of a friction loop magnify.
+    size = np.max(np.abs(theirs), initial=0.0) if size is None else size
+    assert np.all(np.abs(ours - theirs) <= 1e-11 * np.maximum(np.abs(theirs), size))
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    options=SCENARIOS,
+    lanes=st.sampled_from([1, 2, 5, BLOCK + 3]),
+    seed=st.integers(0, 2**16),
+)
+def test_fused_and_model_agree(options, lanes, seed):
+    scenario = make_scenario("linear", options)
+    fused, plain = pair(scenario, lanes)
+    ours = fused.start(range(lanes), streams(range(lanes), seed))
+    theirs = uncompiled(lambda: plain.start(range(lanes), streams(range(lanes), seed)))
+    np.testing.assert_array_max_ulp(ours, theirs, 1)
+    scale = controlled_scale(scenario.plant, scenario.nonlinearity)
+    scale = np.concatenate([scale, np.full(fused.state.shape[1] - len(scale), scenario.current_limit)])
+    rng = np.random.default_rng(seed)
+    running = np.ones(lanes, dtype=bool)
+    for t in range(70):
+        action = rng.normal(0.0, 0.3, lanes)
+        mine = fused.step(action)
+        model = uncompiled(lambda action=action: plain.step(action))
+        np.testing.assert_array_equal(mine.terminated, model.terminated)
+        np.testing.assert_array_equal(mine.truncated, model.truncated)
+        for name in ("reward", "limit_cost"):
+            close(getattr(mine, name)[running], getattr(model, name)[running])
+        a, b = mine.outcome, model.outcome
+        np.testing.assert_array_equal(a.broken[running], b.broken[running])
+        for name in ("acceleration", "force", "current"):
+            close(getattr(a.cost, name)[running], getattr(b.cost, name)[running])
+        for name in ("state", "table_acceleration", "base_shear"):
+            x, y = getattr(a.response, name), getattr(b.response, name)
+            assert x.shape == y.shape
+            # A sum of large terms may cross zero: beside the size of what is summed.
+            size = scale if name == "state" else np.abs(y).max(axis=-1, keepdims=True)[running]
+            strained = np.maximum(np.abs(b.response.state[running] / scale).max(axis=-1), 1.0)
+            close(x[running], y[running], size * strained[:, None])
+        assert (a.floors is None) == (b.floors is None)
+        for name in ("ground", "target", "reference_shear", "preview"):
+            x, y = getattr(mine.ground, name), getattr(model.ground, name)
+            assert (x is None) == (y is None)
+            if x is not None:
+                close(x, y)
+        # A value at the middle of two floats, or of two steps of a sensor, may fall to either side.
+        apart = np.abs(mine.observation - model.observation)[running]
+        assert np.all(apart <= 2e-6 * (1.0 + np.abs(model.observation[running])))
+        running &= ~(mine.terminated | mine.truncated)
+        if t == 40:  # some begin anew, in the middle of a block
+            anew = list(range(0, lanes, 2))
+            fused.start(anew, streams(anew, seed + 1))
+            uncompiled(lambda anew=anew: plain.start(anew, streams(anew, seed + 1)))
+            running[anew] = True
+        # What has ended is put to rest, as by a roll-out: a table far beyond its limits may overflow.
+        for one in (fused, plain):
+            one.state[~running] = 0.0
+
+
+def test_a_step_alone_says_what_a_step_says():
+    scenario = make_scenario("laboratory", {"duration": 0.5})
+    one, other = Simulation(scenario, 1), Simulation(scenario, 1)
+    for sim in (one, other):
+        sim.start([0], streams([0], 3))
+    for t in range(100):
+        action = 0.3 * (-1.0) ** (t // 10)
+        seen, report, ends = one.step_alone(action)
+        result = other.step(np.array([action]))
+        np.testing.assert_array_equal(seen, result.observation[0])
+        expected = [*simulation.step_report(result), result.reward, result.outcome.broken]
+        assert report == [float(value[0]) for value in expected]
+        assert ends == int(result.terminated[0]) + 2 * int(result.truncated[0])
+        assert (ends == 2) == (t == 99)
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
+@pytest.mark.parametrize("name", ["linear", "laboratory", "unknown-specimen"])
+def test_a_copy_goes_on_as_its_original_and_apart_from_it(name, duplicate):
+    original = Simulation(make_scenario(name, {"duration": 1.0}), 3)
+    original.start(range(3), streams(range(3), 0))
+    for _ in range(70):
+        original.step(np.full(3, 0.2))
+    twin, still = duplicate(original), duplicate(original)
+    for _ in range(70):
+        ours, theirs = original.step(np.full(3, 0.2)), twin.step(np.full(3, 0.2))
+        np.testing.assert_array_equal(ours.observation, theirs.observation)
+    np.testing.assert_array_equal(still.step_count, 70)
+    for sim in (original, twin):
+        sim.start([1], streams([1], 5))
+        sim.step(np.zeros(3))
+    np.testing.assert_array_equal(original.state, twin.state)
+
+
+def test_results_stay_what_they_were():
+    sim = Simulation(make_scenario("laboratory"), 2)
+    sim.start(range(2), streams(range(2), 0))
+    result = sim.step(np.full(2, 0.3))
+    parts = [result.reward, result.observation, result.terminated, result.outcome.response.state]
+    kept = [part.copy() for part in parts]
+    memory = {f.name: getattr(sim.memory, f.name) for f in fields(sim.memory)}
+    before = copy.deepcopy(memory)
+    sim.start([0], streams([0], 1))
+    for _ in range(5):
+        sim.step(np.full(2, -0.2))
+    for part, was in zip(parts, kept, strict=True):
+        np.testing.assert_array_equal(part, was)
+    for key, was in before.items():
+        np.testing.assert_array_equal(memory[key], was)
+
+
+def test_info_has_its_keys_in_order():
+    env = gymnasium.make("shake_env:ShakeTable-laboratory-v0")
+    env.reset(seed=0)
+    info = env.step(np.array([0.5], dtype=np.float32))[-1]
+    assert tuple(info) == INFO_KEYS and all(type(value) is float for value in info.values())
+    assert info["current"] == pytest.approx(0.5 * env.unwrapped.scenario.current_limit)
+
+
+def test_without_numba_the_model_steps(monkeypatch):
+    compilation._load.cache_clear()
+    monkeypatch.setitem(sys.modules, "shake_env.simulation.fused_tables", None)
+    try:
+        sim = Simulation(make_scenario("laboratory"), 2)
+        assert sim._fused is None
+        sim.start(range(2), streams(range(2), 0))
+        assert np.all(sim.step(np.full(2, 0.3)).reward < 0.0)
+    finally:
+        compilation._load.cache_clear()
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_sharp_knee_stays_finite(compiled, monkeypatch):
+    monkeypatch.setattr(compilation, "COMPILED", compiled)
+    law = Yielding(yield_drift=0.001, exponent=20.0)
+    options = {"nonlinearity": Nonlinearity(yielding=law), "amplitude": 2.0, "duration": 5.0}
+    scenario = replace(make_scenario("yielding", options), limits=Limits())
+    sim = Simulation(scenario, 8)
+    sim.start(range(8), streams(range(8), 0))
+    rng = np.random.default_rng(0)
+    largest = fastest = 0.0
+    for _ in range(1000):
+        result = sim.step(rng.normal(0.0, 1.0, 8))
+        assert np.isfinite(result.ground.reference).all() and np.isfinite(result.reward).all()
+        state = result.outcome.response.state
+        drift = np.diff(state[:, 4:6], axis=1, prepend=0.0)
+        largest = max(largest, np.abs(drift - state[:, 8:10]).max())
+        fastest = max(fastest, np.abs(np.diff(state[:, 6:8], axis=1, prepend=0.0)).max())
+    # Beyond the yield drift z stands still: it overshoots by what one step drifts, whose rate may be
+    # somewhat above the largest seen at the periods' ends.
+    assert law.yield_drift < largest < law.yield_drift + 1.5 * scenario.physics_step * fastest
+
+
+def test_the_stamp_changes_with_every_source(tmp_path, monkeypatch):
+    from shake_env.kernels import lanes as block_kernel
+
+    for name in SOURCES:
+        (tmp_path / f"{name}.py").write_text(name)
+    monkeypatch.setattr(block_kernel, "__file__", str(tmp_path / "block_kernel.py"))
+    found = {stamp()}
+    for name in SOURCES:
+        (tmp_path / f"{name}.py").write_text(name + "#")
+        found.add(stamp())
+    assert len(found) == len(SOURCES) + 1
