@@ -14,7 +14,7 @@ from pathlib import Path
 
 from shake_env.errors import install_hint
 
-UPPER = {"agents": "commands", "baselines": "catalogue"}  # packages above, a module of each
+UPPER = {"agents": "provenance", "baselines": "catalogue"}  # packages above, a module of each
 PACKAGES = ("tyro", "rich")  # of the extra `agents`, without which there is no command line
 MISTAKE = 2  # exit code
 

@@ -16,7 +16,7 @@ COMPILED = os.environ.get("SHAKE_ENV_COMPILED", "1") != "0"  # whether numba is 
 
 
 def compiled_module(name: str) -> Any:
-    """Return ``shake_env.NAME``, or None where it is switched off or numba is not there.
+    """Return a module by its dotted name, or None where it is switched off or numba is not there.
 
     Imported on first use: numba is an extra, and takes half a second. Where it is installed and cannot
     be used, a RuntimeWarning says why.
@@ -29,7 +29,7 @@ def _load(name: str) -> Any:
     try:
         _log_compilation()
         began = time.perf_counter()
-        module = importlib.import_module(f"shake_env.{name}")
+        module = importlib.import_module(name)
         logger.debug("shake_env.%s: loaded in %.1f s", name, time.perf_counter() - began)
         return module
     except ModuleNotFoundError:

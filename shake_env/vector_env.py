@@ -34,8 +34,7 @@ class _NamesSB3Env(type):
     """
 
     def __format__(cls, format_spec: str) -> str:
-        return f"{cls!r} (for Stable-Baselines3 use agents.learning.sb3_env.make_sb3_env instead of
-        make_vec)"
+        return f"{cls!r} (for Stable-Baselines3 use agents.learning.make_sb3_env instead of make_vec)"
 
 
 class ShakeTableVectorEnv(

@@ -1,127 +1,219 @@
-"""Who may import whom, downwards only."""
+"""Who may import whom: downwards between rooms, no circle, nothing that a room may not need."""
 
 import ast
 import sys
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
+# Rooms from top to bottom: folders, and single files at the top of a package. A module imports from its
+# own room and from rooms below it. Rooms on one line do not import one another.
+ROOMS = """
+    shake_env/command_line
+    agents/__main__
+    agents/cli
+    agents/experiments agents/studies
+    agents/motions
+    agents/reporting
+    agents/training
+    agents/evaluation agents/learning
+    agents/policies
+    agents/scenario_options agents/figure_style agents/provenance agents/progress
+    agents/run_directory
+    agents/plain_values
+    baselines/searched_lqg
+    baselines/registry
+    baselines/catalogue
+    baselines/tuned_values
+    baselines/analysis
+    baselines/iterative
+    baselines/servo
+    baselines/estimation
+    baselines/lqr
+    baselines/batch_controllers
+    shake_env/__init__
+    shake_env/vector_env
+    shake_env/env
+    shake_env/rendering shake_env/safety
+    shake_env/rollout
+    shake_env/simulation
+    shake_env/scenario
+    shake_env/dynamics
+    shake_env/kernels
+    shake_env/motion
+    shake_env/records
+    shake_env/model
+    shake_env/numba_support shake_env/controller
+    shake_env/errors
+"""
 LEARNING = {"torch", "stable_baselines3", "sb3_contrib", "tensorboard"}
-DRAWING = {"matplotlib", "rich", "tyro"}
-GYMNASIUM = {"__init__.py", "env.py", "vector_env.py", "rendering.py"}
-# Within shake_env, lowest first: a module imports from lower ranks only, or its own where listed.
-LAYERS = [
-    {"errors", "controller", "compilation"},
-    {"inputs"},
-    {"ranges"},
-    {"parameters", "command_line"},
-    {"plant", "records", "rest"},
-    {"discretization", "motion", "objective", "limits", "nonlinearity", "sensing", "uncertainty"},
-    {"dynamics", "preparation", "fields", "block_kernel"},
-    {"compiled", "ground_kernel", "adjoint_kernel", "normal_kernel"},
-    {"adjoint"},
-    {"nonlinear_dynamics", "resolution"},
-    {"reference", "normals"},
-    {"measurement"},
-    {"ground"},
-    {"excitation"},
-    {"scenario"},
-    {"named", "braking", "scenario_file", "capacity", "memory"},
-    {"overrides", "scenario_digest", "supervisor"},
-    {"transition"},
-    {"fleet", "packing"},
-    {"fused"},
-    {"engine"},
-    {"simulation"},
-    {"metrics", "trajectory", "scene", "pen"},
-    {"drawing"},
-    {"rendering"},
-    {"rollout", "env"},
-    {"vector_env"},
-]
+SHOWING = {"matplotlib", "rich", "tyro", "plotly", "jinja2"}
+# What a package or room may import besides the standard library and this project. A room's own line
+# stands before its package's.
+LIBRARIES = {
+    "shake_env/kernels": {"numpy", "numba", "scipy"},
+    "shake_env/simulation": {"numpy", "numba", "array_api_compat"},
+    "shake_env/rendering": {"numpy", "PIL", "pygame", "gymnasium"},
+    "shake_env/env": {"numpy", "gymnasium"},
+    "shake_env/vector_env": {"numpy", "gymnasium"},
+    "shake_env/__init__": {"gymnasium"},
+    "shake_env/numba_support": {"numba"},
+    "shake_env/records": {"numpy", "obspy", "h5py", "openpyxl"},
+    "shake_env": {"numpy", "scipy", "array_api_compat"},
+    "baselines": {"numpy", "scipy", "control", "osqp", "array_api_compat"},
+    "agents/policies": {"numpy", "safetensors", "array_api_compat", "onnx", "onnxruntime", "scipy"},
+}
 
 
-def sources(package):
-    return sorted((ROOT / package).rglob("*.py"))
+def lines():
+    return [line.split() for line in ROOMS.splitlines() if line.strip()]
 
 
-def imports(path, top_level_only=False):
-    """Absolute names of the modules that a file imports anywhere in it, functions included."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+def rank():
+    return {room: number for number, rooms in enumerate(reversed(lines())) for room in rooms}
+
+
+def room(module):
+    """The room of a module's dotted name, such as ``shake_env.model.plant``."""
+    parts = module.split(".")
+    return "/".join(parts[:2]) if len(parts) > 1 else f"{parts[0]}/__init__"
+
+
+def sources():
+    """Dotted name and path of every module of the three packages."""
+    for package in ("shake_env", "baselines", "agents"):
+        for path in sorted((ROOT / package).rglob("*.py")):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            yield ".".join(parts[:-1] if parts[-1] == "__init__" else parts), path
+
+
+def imports(text, names=frozenset()):
+    """Modules that a source imports anywhere, in functions and by name too.
+
+    `names` are the known modules: ``from package import module`` then counts as the module.
+    """
+    modules = set()
+    for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import"
-            found.add(node.module)
-            found |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return {name.split(".")[0] for name in found} if top_level_only else found
+            assert node.level == 0, "relative import"
+            for alias in node.names:
+                whole = f"{node.module}.{alias.name}"
+                modules.add(whole if whole in names else node.module)
+        elif isinstance(node, ast.Call):
+            called = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            if called in ("import_module", "compiled_module", "__import__", "find_spec"):
+                modules |= {a.value for a in node.args[:1] if isinstance(a, ast.Constant)}
+    return modules
 
 
-def files(*packages):
-    return [
-        pytest.param(path, id=str(path.relative_to(ROOT)))
-        for package in packages
-        for path in sources(package)
-    ]
-
-
-@pytest.mark.parametrize("path", files("shake_env"))
-def test_physics_imports_neither_learning_nor_drawing_nor_control(path):
-    found = imports(path, top_level_only=True)
-    assert not found & (LEARNING | DRAWING | {"control", "agents", "baselines"})
-    if path.name not in GYMNASIUM or path.parent.name != "shake_env":
-        assert "gymnasium" not in found
-
-
-@pytest.mark.parametrize("path", files("baselines"))
-def test_baselines_import_downwards(path):
-    found = imports(path, top_level_only=True)
-    assert not found & (LEARNING | DRAWING | {"agents", "gymnasium"})
-
-
-@pytest.mark.parametrize("path", files("agents"))
-def test_agents_leave_control_to_the_baselines(path):
-    assert "control" not in imports(path, top_level_only=True)
-
-
-def test_packages_need_nothing_that_is_not_declared():
-    declared = {"numpy", "scipy", "gymnasium", "array_api_compat", "shake_env"}
-    compiled = (
-        "block_kernel.py",
-        "compiled.py",
-        "fused.py",
-        "ground_kernel.py",
-        "adjoint.py",
-        "normal_kernel.py",
-    )
-    optional = {
-        "rendering.py": {"pygame"}, "drawing.py": {"PIL"}, "pen.py": {"PIL"},
-        **{name: {"numba"} for name in compiled},
-    }  # fmt: skip
-    for path in sources("shake_env"):
-        allowed = declared | optional.get(path.name, set()) | sys.stdlib_module_names
-        extra = imports(path, top_level_only=True) - allowed
-        assert not extra, path
-
-
-@pytest.mark.parametrize("path", files("shake_env"))
-def test_modules_of_the_physics_import_lower_layers(path):
-    module = path.relative_to(ROOT / "shake_env").parts[0].removesuffix(".py")
-    if module == "__init__":
-        return
-    rank = {name: i for i, layer in enumerate(LAYERS) for name in layer}
-    assert module in rank, f"{module}: give it a layer"
-    for name in imports(path):
-        parts = name.split(".")
-        if parts[0] != "shake_env" or len(parts) < 2 or parts[1] == module:
+def upward(module, text, names, ranks):
+    """Imports of a module that do not lead to its own room or one below it."""
+    own = room(module)
+    wrong = []
+    for each in imports(text, names):
+        if each.split(".")[0] not in ("shake_env", "baselines", "agents"):
             continue
-        if parts[1] in rank:
-            assert rank[parts[1]] < rank[module], f"{module} imports {parts[1]}"
+        other = room(each)
+        # A package's own docstring module holds nothing: importing it is no dependency.
+        if other in (own, "baselines/__init__", "agents/__init__"):
+            continue
+        if not ranks[other] < ranks[own]:
+            wrong.append(each)
+    return sorted(wrong)
 
 
-def test_the_rule_can_fail(tmp_path):
-    spoilt = tmp_path / "spoilt.py"
-    spoilt.write_text("def f():\n    import torch.nn as nn\n    from agents import train\n")
-    assert imports(spoilt, top_level_only=True) == {"torch", "agents"}
+NAMES = frozenset(name for name, _ in sources())
+MODULES = [pytest.param(name, path, id=name) for name, path in sources()]
+
+
+@pytest.mark.parametrize(("module", "path"), MODULES)
+def test_imports_lead_downwards(module, path):
+    ranks = rank()
+    if module in ("baselines", "agents"):
+        assert not imports(path.read_text(encoding="utf-8"))
+        return
+    assert room(module) in ranks, f"{room(module)}: give the room a line in ROOMS"
+    assert upward(module, path.read_text(encoding="utf-8"), NAMES, ranks) == []
+
+
+def test_no_circle_of_modules():
+    graph = {
+        name: (imports(path.read_text(encoding="utf-8"), NAMES) & NAMES) - {name}
+        for name, path in sources()
+        if path.name != "__init__.py"  # holds names of its modules, which never ask for it
+    }
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_modules_of_a_package_import_from_modules_and_not_from_its_front():
+    fronts = {name for name, path in sources() if path.name == "__init__.py"}
+    for name, path in sources():
+        for each in imports(path.read_text(encoding="utf-8"), NAMES) & fronts:
+            assert not (name + ".").startswith(each + "."), f"{name} imports {each}"
+
+
+@pytest.mark.parametrize(("module", "path"), MODULES)
+def test_libraries_are_those_of_the_room(module, path):
+    allowed = LIBRARIES.get(room(module), LIBRARIES.get(module.split(".")[0]))
+    outside = {name.split(".")[0] for name in imports(path.read_text(encoding="utf-8"))}
+    outside -= {"shake_env", "baselines", "agents"} | sys.stdlib_module_names
+    if allowed is None:  # the rest of agents
+        assert "control" not in outside, "control design belongs in baselines"
+    else:
+        assert outside <= allowed
+
+
+@pytest.mark.parametrize("entry", ["agents.policies", "shake_env", "baselines"])
+def test_what_a_deployed_controller_needs_imports_neither_learning_nor_drawing(entry):
+    """Everything that a room's modules reach, by any import that runs when they are imported."""
+    graph = {name: imports(path.read_text(encoding="utf-8"), NAMES) for name, path in sources()}
+    del graph["shake_env.command_line"]  # the entry point of the command line, which imports it all
+    queue = [name for name in graph if name == entry or name.startswith(entry + ".")]
+    reached = set(queue)
+    while queue:
+        for each in graph[queue.pop()]:
+            assert each.split(".")[0] not in LEARNING | SHOWING, each
+            if each in graph and each not in reached:
+                reached.add(each)
+                queue.append(each)
+
+
+def test_a_folder_has_at_most_twenty_files():
+    for package in ("shake_env", "baselines", "agents", "tests"):
+        for folder in [ROOT / package, *(p for p in (ROOT / package).rglob("*") if p.is_dir())]:
+            files = [p for p in folder.glob("*.py") if p.name != "__init__.py"]
+            assert len(files) <= 20, folder.relative_to(ROOT)
+
+
+@pytest.mark.parametrize(
+    ("module", "text"),
+    [
+        ("shake_env.model.plant", "from baselines.lqr.sampled import lqr"),
+        ("shake_env.model.plant", "def f():\n    from shake_env.scenario.scenario import Scenario"),
+        ("shake_env.model.plant", "import importlib\nimportlib.import_module('baselines.registry')"),
+        ("shake_env.dynamics.linear", "x = compiled_module('shake_env.simulation.fused_step')"),
+        ("agents.policies.policy_file", "from agents.training import train"),
+        ("baselines.lqr.preview", "import agents.cli.compare"),
+    ],
+)
+def test_the_rule_sees_a_wrong_import(module, text):
+    assert upward(module, text, NAMES, rank())
+
+
+@pytest.mark.parametrize(
+    ("module", "text"),
+    [
+        ("shake_env.simulation.simulation", "from shake_env.model.plant import CoupledPlant"),
+        ("agents.cli.compare", "def f():\n    import agents.training.train"),
+        ("shake_env.dynamics.linear", "compiled_module('shake_env.kernels.table')"),
+    ],
+)
+def test_the_rule_lets_a_right_import_pass(module, text):
+    assert upward(module, text, NAMES, rank()) == []

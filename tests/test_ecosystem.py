@@ -168,7 +168,7 @@ def test_tracking_features_are_what_training_sees():
 
 def test_the_plant_goes_out_with_names():
     plant = make_scenario("linear", {"stories": 3}).plant
-    system = plant.to_control()
+    system = to_control(plant)
     assert isinstance(system, control.StateSpace) and system.dt == 0
     assert np.array_equal(system.A, to_control(plant).A)
     assert system.input_labels == ["current", "white_noise"]
@@ -213,7 +213,7 @@ def test_continuous_and_discrete_come_back_as_they_went():
 def test_the_discrete_plant_is_the_continuous_one_sampled_by_python_control():
     scenario = make_scenario("linear")
     sampled = control.c2d(to_control(scenario.plant)[:, "current"], scenario.physics_step, "zoh")
-    ours = scenario.discrete.to_control()
+    ours = to_control(scenario.discrete)
     assert np.allclose(sampled.A, ours.A, atol=1e-12)
     assert np.allclose(sampled.B, ours.B, atol=1e-12 * np.abs(ours.B).max())
 

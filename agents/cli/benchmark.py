@@ -49,7 +49,7 @@ class Bench(CommandOptions):
     def run(self, console: Console) -> dict[str, Any]:
         """Run what is not done, and say where it lies."""
         from agents.evaluation.benchmark import read_results, result_file
-        from agents.policies.controller_set import describe_values, require_names
+        from agents.evaluation.controller_set import describe_values, require_names
         from agents.reporting.benchmark_tables import markdown, put_tables
 
         require_names(self.controllers)

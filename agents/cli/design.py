@@ -10,8 +10,8 @@ import tyro
 from rich.console import Console
 
 from agents.cli.command_options import CommandOptions
+from agents.evaluation.controller_set import describe_values
 from agents.evaluation.design import PROBLEM
-from agents.policies.controller_set import describe_values
 from agents.reporting.terminal import print_table
 from agents.scenario_options import ScenarioOptions
 from baselines.tuned_values import read_tuned

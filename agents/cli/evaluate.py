@@ -47,9 +47,9 @@ class Evaluate(CommandOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Evaluate, print, write."""
+        from agents.evaluation.controller_set import describe_values, require_names
         from agents.evaluation.protocol import contestant, evaluate
         from agents.evaluation.result_files import write_result
-        from agents.policies.controller_set import describe_values, require_names
         from agents.reporting.evaluation_tables import markdown
 
         require_names(self.entries)

@@ -65,7 +65,7 @@ class Robustness(FolderOptions):
         """Run, print, write."""
         if self.all:
             return self._renew(console)
-        from agents.policies.controller_set import describe_values, require_names
+        from agents.evaluation.controller_set import describe_values, require_names
         from agents.reporting.robustness_figures import draw_robustness
         from agents.reporting.robustness_tables import PREFIX, section, write_robustness
 

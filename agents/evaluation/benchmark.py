@@ -12,8 +12,8 @@ from typing import Any
 
 import shake_env
 from agents.evaluation.compare import compare
+from agents.evaluation.controller_set import ALL, CLAIRVOYANT, values_to_json
 from agents.evaluation.results import Comparison, GroupSummary, plain_row
-from agents.policies.controller_set import ALL, CLAIRVOYANT, values_to_json
 from agents.run_directory import described, read_json
 from baselines.registry import reference_name
 from baselines.tuned_values import TunedValues

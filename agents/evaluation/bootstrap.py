@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
 from shake_env.errors import ParameterError
+from shake_env.model.parameters import FloatArray
 from shake_env.simulation.metrics import EpisodeMetrics
 
 if TYPE_CHECKING:
     pass
-from agents.reporting.report_estimates import FloatArray
 
 Scores = NDArray[np.float64]  # (seeds, earthquakes)
 Statistic = Callable[..., float]

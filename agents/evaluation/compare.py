@@ -9,12 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.evaluation.controller_set import CLAIRVOYANT, named_controllers, require_names
 from agents.evaluation.fidelity import Fidelity, fidelity
-from agents.policies.controller_set import (
-    CLAIRVOYANT,
-    named_controllers,
-    require_names,
-)
 from baselines.catalogue import BASELINES
 from baselines.iterative.drive_file import DriveFile
 from baselines.lqr.oracle import clairvoyant

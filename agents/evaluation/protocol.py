@@ -14,11 +14,12 @@ import numpy as np
 
 import shake_env
 from agents.evaluation.benchmark import TEST_SEED
+from agents.evaluation.controller_set import CLAIRVOYANT, values_to_json
 from agents.evaluation.fidelity import fidelity
 from agents.evaluation.latency import decision_time
 from agents.evaluation.results import plain_row
 from agents.evaluation.scores import Episodes, cost_figures, summary
-from agents.policies.controller_set import CLAIRVOYANT, values_to_json
+from agents.evaluation.training_distance import training_warning
 from agents.policies.own_controller import is_own_controller, own_baseline
 from agents.policies.policy_file import PolicyFile, digest, load_policy
 from agents.policies.registry import (
@@ -28,7 +29,6 @@ from agents.policies.registry import (
     shipped_policy,
     values_for,
 )
-from agents.policies.training_distance import training_warning
 from agents.provenance import code_version
 from agents.run_directory import BEST, POLICY, policy_of_run
 from baselines.catalogue import BASELINES

@@ -14,8 +14,8 @@ from dataclasses import field
 from typing import TYPE_CHECKING
 
 import shake_env
+from agents.evaluation.controller_set import describe_values, values_to_json
 from agents.evaluation.fidelity import Fidelity
-from agents.policies.controller_set import describe_values, values_to_json
 from baselines.registry import ParameterValues
 from shake_env.simulation.metrics import EpisodeMetrics
 from shake_env.simulation.trajectory import Trajectory

@@ -16,8 +16,13 @@ from typing import Any
 import numpy as np
 
 import shake_env
+from agents.evaluation.controller_set import (
+    CLAIRVOYANT,
+    ControllerSet,
+    named_controllers,
+    values_to_json,
+)
 from agents.evaluation.perturbations import QUANTITIES, Change, altered, nominal_value, training_range
-from agents.policies.controller_set import CLAIRVOYANT, ControllerSet, named_controllers, values_to_json
 from agents.policies.policy_file import PolicyFile, digest
 from agents.policies.registry import SHIPPED, file_of, shipped_policy
 from agents.provenance import code_version

@@ -42,7 +42,7 @@ class TrackingFeatures(
 
 
 class TrainingWrapper(TrackingFeatures):
-    """Tracking features, scaled rewards and scaled actions: one lane of `agents.learning.sb3_env.make_sb3_env`.
+    """Tracking features, scaled rewards and scaled actions: one lane of `make_sb3_env`.
 
     Parameters
     ----------

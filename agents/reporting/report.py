@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from agents.evaluation.bootstrap import mean_interval
 from agents.evaluation.compare import Histories
+from agents.evaluation.controller_set import CLAIRVOYANT
 from agents.evaluation.fidelity import spectrum
 from agents.evaluation.results import Comparison
-from agents.policies.controller_set import CLAIRVOYANT
 from agents.policies.policy_file import PolicyFile, load_policy
 from agents.policies.registry import SHIPPED, file_of
 from agents.reporting.report_estimates import Drawn, TransferEstimate, lqr_frontier

@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 
 import shake_env
 from agents.evaluation.bootstrap import mean_interval
+from agents.evaluation.controller_set import CLAIRVOYANT
 from agents.evaluation.results import GroupSummary
 from agents.figure_style import PLOTLY, figure_style
-from agents.policies.controller_set import CLAIRVOYANT
 from agents.reporting.report import Report
 from agents.reporting.report_data import page_data
 from agents.reporting.report_figures import stills
@@ -83,7 +83,7 @@ def page(report: Report, stills: Sequence[str]) -> str:
 
 
 def _bytes(name: str) -> bytes:
-    return (resources.files("agents") / "assets" / name).read_bytes()
+    return (resources.files("agents.reporting") / "assets" / name).read_bytes()
 
 
 def _asset(name: str) -> str:

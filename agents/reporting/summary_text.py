@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from agents.evaluation.bootstrap import cost_ratio
+from agents.evaluation.controller_set import CLAIRVOYANT
 from agents.evaluation.results import Comparison, GroupSummary
-from agents.policies.controller_set import CLAIRVOYANT
 from shake_env.scenario.scenario import Scenario
 
 NEAR = 0.9  # share of a limit from which on it counts as what limits a test

@@ -126,7 +126,8 @@ def _reply(scenario: Scenario, q: TrackingProblem, periods: int, column: int) ->
     """Return the current (T,) that a unit disturbance at each time asks for now.
 
     With its effect ``B f`` on the state and ``Z_f f`` on the errors of a period, the stage's
-    square completes as in `baselines.lqr.tracking_problem`: ``u = -K x - (1/R_u) (G'P B f + Z_u' Z_f f + G' s)``,
+    square completes as in `baselines.lqr.tracking_problem`:
+    ``u = -K x - (1/R_u) (G'P B f + Z_u' Z_f f + G' s)``,
     ``s_i = closed' s_i+1 + (closed' P B + Psi Z_f) f_i``.
     """
     plant, k = scenario.plant, scenario.substeps

@@ -6,7 +6,7 @@ those of the exact zero- and first-order hold. With g = 0 it is the exact linear
 
 Written against the array API, for numpy and torch. Where numba is installed, float64 numpy arrays go
 through the same equations compiled (`shake_env.kernels.table`), equal to rounding; the environment
-variable ``SHAKE_ENV_COMPILED=0``, or :data:`compilation.COMPILED` set to False, keeps them here.
+variable ``SHAKE_ENV_COMPILED=0``, or :data:`numba_support.COMPILED` set to False, keeps them here.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import array_api_compat
 import numpy as np
 
-from shake_env import numba_support as compilation
+from shake_env import numba_support
 from shake_env.dynamics.linear import PeriodResponse, as_like
 from shake_env.errors import ScenarioError
 from shake_env.model.discretization import first_order_hold
@@ -215,7 +215,7 @@ class NonlinearDynamics:
 
     @cached_property
     def _compiled(self) -> CompiledStep | None:
-        compiled = compiled_module("compiled")
+        compiled = compiled_module("shake_env.kernels.table")
         if compiled is None:
             return None
         matrices = {name: getattr(self, name) for name in ARRAYS}
@@ -275,7 +275,7 @@ class NonlinearDynamics:
         drive
             None: with the corrected equations the table feels the current only.
         """
-        if compilation.COMPILED and type(state) is np.ndarray:
+        if numba_support.COMPILED and type(state) is np.ndarray:
             step = self._compiled
             if step is not None and step.fits(state, current):
                 return PeriodResponse(*step(state, current))

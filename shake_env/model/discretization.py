@@ -10,8 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
-from typing import Any
 
 import numpy as np
 from scipy.linalg import expm
@@ -253,10 +251,6 @@ class DiscretePlant:
     def layout(self) -> StateLayout:
         """Where each part of the full state lies."""
         return self.plant.layout
-
-    def to_control(self, *, scaled: bool = True) -> Any:
-        """Return one step as a ``control.StateSpace``; see `baselines.analysis.python_control.to_control`."""
-        return import_module("baselines.analysis.python_control").to_control(self, scaled=scaled)
 
     @cached_property
     def model(self) -> DiscreteStateSpace:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -399,8 +398,3 @@ class CoupledPlant:
         scale = undamped.state_scale[keep]
         scaled: FloatArray = A * scale / scale[:, None]
         return scaled
-
-    def to_control(self, *, scaled: bool = True) -> Any:
-        """Return the plant as a ``control.StateSpace``; see `baselines.analysis.python_control.to_control`."""
-        # By its name: the physics depends neither on python-control nor on the package above it.
-        return import_module("baselines.analysis.python_control").to_control(self, scaled=scaled)

@@ -67,7 +67,7 @@ def filtered(record: Record, *, highpass: float | None = None, lowpass: float | 
 
 
 def resampled(record: Record, sampling_interval: float) -> Record:
-    """Return a record at another step [s], band-limited; see :func:`~shake_env.motion.targets.resample`."""
+    """Return a record at another step [s], band-limited; see `targets.resample`."""
     acceleration = resample(record.acceleration, record.sampling_interval, sampling_interval)
     note = f"resampled from {record.sampling_interval:g} s to {sampling_interval:g} s"
     return replace(_prepared(record, acceleration, note), sampling_interval=sampling_interval)

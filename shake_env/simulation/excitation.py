@@ -236,7 +236,7 @@ class Excitation:
         drawn = self._noise.reshape(len(self._noise), -1)[: len(lanes), : steps * self._draws]
         self._normals.fill(lanes.tolist(), drawn)
         amplitude = self._amplitude[lanes]
-        kernel = compiled_module("ground_kernel")
+        kernel = compiled_module("shake_env.kernels.ground")
         if kernel is not None:
             maps = _stacked(self.maps.noise)
             kernel.run_filter(
@@ -270,7 +270,7 @@ class Excitation:
             samples[row, : len(part)] = part
             ends = _filter_history(self._discrete.plant.ground, motion, dt)[begin + k :: k][:steps]
             states[row, : len(ends)] = ends
-        kernel = compiled_module("ground_kernel")
+        kernel = compiled_module("shake_env.kernels.ground")
         if kernel is not None:
             maps = _stacked(self.maps.record)
             kernel.run_records(self._store, samples, states, self._tail, maps, lanes, first)
@@ -293,7 +293,7 @@ class Excitation:
         """Put the yielding reference in the place of the linear one."""
         assert self.maps.yielding is not None  # the caller asked
         k, n = self._discrete.substeps, self._discrete.layout.stories
-        at, kernel = self._exogenous, compiled_module("ground_kernel")
+        at, kernel = self._exogenous, compiled_module("shake_env.kernels.ground")
         if kernel is not None:
             whole = self.maps.yielding
             parts = (whole.A, whole.ground, whole.ground_next, whole.level)

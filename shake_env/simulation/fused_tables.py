@@ -24,7 +24,7 @@ BoolArray = NDArray[np.bool_]
 
 
 class FusedTables:
-    """State, sensors' memory and counters of N tables, stepped by `shake_env.simulation.fused_step.period_of`.
+    """State, sensors' memory and counters of N tables, stepped by `fused_step.period_of`.
 
     Parameters
     ----------

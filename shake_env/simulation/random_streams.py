@@ -49,7 +49,7 @@ class Normals:
 
     def fill(self, lanes: Sequence[int], out: FloatArray) -> None:
         """Write the next numbers of some lanes' streams, which they have, to `out` (n, count)."""
-        kernel = compiled_module("normal_kernel") if len(lanes) >= FEW else None
+        kernel = compiled_module("shake_env.kernels.normals") if len(lanes) >= FEW else None
         suits = kernel is not None and kernel.numpys() is not None
         if not (suits and all(_suits(self._streams[lane]) for lane in lanes)):
             for lane, row in zip(lanes, out, strict=True):

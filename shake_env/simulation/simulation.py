@@ -114,7 +114,7 @@ class Simulation:
 
     def _fuse(self, preview: tuple[int, int]) -> FusedTables | None:
         """Return the tables as the compiled step holds them, or None where there is none."""
-        engine = compiled_module("engine")
+        engine = compiled_module("shake_env.simulation.fused_tables")
         if engine is None:
             return None
         tables: FusedTables = engine.FusedTables(

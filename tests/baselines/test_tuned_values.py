@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from agents.__main__ import main
+from agents.evaluation.controller_set import describe_values, named_controllers, values_to_json
 from agents.evaluation.design import design
 from agents.evaluation.robustness import controllers_of
 from agents.experiments.controller_tuning import keep, tune
 from agents.policies.base_law import at_own_cost, base_law
-from agents.policies.controller_set import describe_values, named_controllers, values_to_json
 from agents.policies.registry import named_controller
 from baselines.registry import make_baseline, parameter_values, tuned_parameters
 from baselines.searched_lqg import FREE, found_by_search

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch.autograd.function import once_differentiable
 
-from shake_env import numba_support as compilation
+from shake_env import numba_support
 from shake_env.dynamics.linear import PeriodResponse
 from shake_env.dynamics.nonlinear import NonlinearDynamics, apply
 from shake_env.simulation.transition import TableModel
@@ -86,7 +86,7 @@ class CompiledPeriod:
 
         It needs numba, and tensors of `like`'s kind in double precision on the processor.
         """
-        if like.dtype != torch.float64 or like.device.type != "cpu" or not compilation.COMPILED:
+        if like.dtype != torch.float64 or like.device.type != "cpu" or not numba_support.COMPILED:
             return None
         step = dynamics._compiled
         if step is None:

@@ -1,4 +1,4 @@
-"""Figures of the nonlinear parts on their bench; the numbers come from `agents.studies.components.bench`."""
+"""Figures of the nonlinear parts on their bench; the numbers come from `bench`."""
 
 from __future__ import annotations
 

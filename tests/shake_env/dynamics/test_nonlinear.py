@@ -8,8 +8,7 @@ import torch
 from scipy.integrate import solve_ivp
 
 from baselines.lqr.sampled import lqr
-from shake_env import make_scenario
-from shake_env import numba_support as compilation
+from shake_env import make_scenario, numba_support
 from shake_env.dynamics.nonlinear import (
     FORCE,
     NonlinearDynamics,
@@ -145,7 +144,7 @@ LIMITS = {
 @pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("name", LIMITS)
 def test_limit_cases_are_the_linear_plant_to_the_last_bit(name, compiled, monkeypatch):
-    monkeypatch.setattr(compilation, "COMPILED", compiled)
+    monkeypatch.setattr(numba_support, "COMPILED", compiled)
     linear = NonlinearDynamics.of(PLANT, Nonlinearity(), 1e-3, 5)
     other = NonlinearDynamics.of(PLANT, LIMITS[name], 1e-3, 5)
     rng = np.random.default_rng(0)

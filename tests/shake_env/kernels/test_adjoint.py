@@ -11,8 +11,7 @@ from test_compiled import EVERYTHING, PARTS, dynamics_of, scale_of
 from agents.learning.apg.torch_plant import CompiledPeriod, torch_model
 from agents.learning.apg.window_rollout import TorchTables
 from agents.learning.vec_env import ShakeTableVecEnv
-from shake_env import make_scenario
-from shake_env import numba_support as compilation
+from shake_env import make_scenario, numba_support
 from shake_env.dynamics.nonlinear import NonlinearDynamics
 from shake_env.kernels.lanes import BLOCK
 from shake_env.model.nonlinearity import Yielding
@@ -138,7 +137,7 @@ def test_a_window_through_the_compiled_plant_is_the_references(name, overrides, 
     start = env.snapshot()
 
     def window(compiled):
-        monkeypatch.setattr(compilation, "COMPILED", compiled)
+        monkeypatch.setattr(numba_support, "COMPILED", compiled)
         env.restore(start)
         tables = TorchTables(env)
         assert isinstance(tables.model.dynamics, CompiledPeriod) == compiled
@@ -161,7 +160,7 @@ def test_without_numba_in_single_precision_or_elsewhere_torch_takes_the_update_a
     for other in (LIKE.float(), LIKE.to("meta")):
         assert CompiledPeriod.of(model.dynamics, other) is None
     assert isinstance(torch_model(model, LIKE.float()).dynamics, NonlinearDynamics)
-    monkeypatch.setattr(compilation, "_load", lambda name: None)
+    monkeypatch.setattr(numba_support, "_load", lambda name: None)
     fresh = replace(model, dynamics=replace(model.dynamics))
     assert isinstance(torch_model(fresh, LIKE).dynamics, NonlinearDynamics)
 

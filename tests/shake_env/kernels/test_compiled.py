@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shake_env import make_scenario
-from shake_env import numba_support as compilation
+from shake_env import make_scenario, numba_support
 from shake_env.dynamics.nonlinear import ARRAYS, NonlinearDynamics, controlled_scale
 from shake_env.kernels.lanes import BLOCK, expm1, tanh
 from shake_env.model.nonlinearity import Friction, Nonlinearity, ServoValve, StrokeStops, Yielding
@@ -90,7 +89,7 @@ def both(dynamics, state, current):
     assert dynamics._compiled is not None and dynamics._compiled.fits(state, current)
     compiled = dynamics.control_step(state, current)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compilation, "COMPILED", False)
+        patch.setattr(numba_support, "COMPILED", False)
         return compiled, dynamics.control_step(state, current)
 
 
@@ -255,9 +254,9 @@ def test_numba_is_imported_only_for_a_nonlinear_step():
 @pytest.fixture
 def fresh_loader():
     """Modules are looked for anew, here and after."""
-    compilation._load.cache_clear()
+    numba_support._load.cache_clear()
     yield
-    compilation._load.cache_clear()
+    numba_support._load.cache_clear()
 
 
 def test_without_numba_the_reference_steps(monkeypatch, fresh_loader):
@@ -272,6 +271,6 @@ def test_a_numba_that_refuses_is_told(monkeypatch, fresh_loader):
     def refuse(name):
         raise ImportError("Numba needs NumPy 1.0 or less")
 
-    monkeypatch.setattr(compilation.importlib, "import_module", refuse)
+    monkeypatch.setattr(numba_support.importlib, "import_module", refuse)
     with pytest.warns(RuntimeWarning, match=r"Numba needs NumPy .* SHAKE_ENV_COMPILED=0"):
-        assert compilation.compiled_module("compiled") is None
+        assert numba_support.compiled_module("shake_env.kernels.table") is None

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shake_env import numba_support as compilation
+from shake_env import numba_support
 from shake_env.simulation.random_streams import FEW, Normals
 
 LANES = 70  # more than are taken at once
@@ -30,7 +30,7 @@ def test_the_numbers_are_numpys_to_the_last_bit(kind):
 
 
 def test_the_compiled_numbers_are_what_is_tested():
-    assert compilation.compiled_module("normal_kernel").numpys() is not None
+    assert numba_support.compiled_module("shake_env.kernels.normals").numpys() is not None
     normals = Normals(FEW)
     streams = [np.random.default_rng(lane) for lane in range(FEW)]
     for lane, stream in enumerate(streams):
@@ -42,7 +42,7 @@ def test_the_compiled_numbers_are_what_is_tested():
 
 def test_numbers_at_the_bounds_of_every_layer_are_numpys():
     """Raw numbers that a stream never comes to: those beside what decides."""
-    kernel = compilation.compiled_module("normal_kernel")
+    kernel = numba_support.compiled_module("shake_env.kernels.normals")
     bounds, widths, heights = kernel.numpys()
     generator = np.random.Generator(np.random.Philox(0))
     for layer in range(256):
@@ -90,7 +90,7 @@ def test_a_snapshot_goes_on_where_nothing_is_compiled(monkeypatch):
     for lane in range(FEW):
         normals[lane] = np.random.default_rng(lane)
     before = filled(normals, range(FEW), 50)
-    monkeypatch.setattr(compilation, "COMPILED", False)
+    monkeypatch.setattr(numba_support, "COMPILED", False)
     after = filled(normals, range(FEW), 50)
     for lane in range(FEW):
         whole = np.random.default_rng(lane).standard_normal(100)
@@ -98,7 +98,9 @@ def test_a_snapshot_goes_on_where_nothing_is_compiled(monkeypatch):
 
 
 def test_where_numpy_makes_its_numbers_otherwise_they_are_its_own(monkeypatch):
-    monkeypatch.setattr(compilation.compiled_module("normal_kernel"), "numpys", lambda: None)
+    monkeypatch.setattr(
+        numba_support.compiled_module("shake_env.kernels.normals"), "numpys", lambda: None
+    )
     normals = Normals(FEW)
     for lane in range(FEW):
         normals[lane] = np.random.default_rng(lane)

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from shake_env import RECORD_NAMES, Envelope, FilteredNoise, RecordedMotion, make_scenario
-from shake_env import numba_support as compilation
+from shake_env import RECORD_NAMES, Envelope, FilteredNoise, RecordedMotion, make_scenario, numba_support
 from shake_env.dynamics.ground import filter_state
 from shake_env.errors import ParameterError
 from shake_env.model.plant import specimen_plant
@@ -379,7 +378,7 @@ def test_the_compiled_ground_is_the_references(name, own, monkeypatch):
     lanes = 70
 
     def followed(compiled):
-        monkeypatch.setattr(compilation, "COMPILED", compiled)
+        monkeypatch.setattr(numba_support, "COMPILED", compiled)
         simulation = Simulation(scenario, lanes)
         simulation.start(range(lanes), [np.random.default_rng(lane) for lane in range(lanes)])
         excitation = simulation.excitation

@@ -11,8 +11,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shake_env import Envelope, FilteredNoise, RecordedMotion, Sensing, Sensor, make_scenario
-from shake_env import numba_support as compilation
+from shake_env import (
+    Envelope,
+    FilteredNoise,
+    RecordedMotion,
+    Sensing,
+    Sensor,
+    make_scenario,
+    numba_support,
+)
 from shake_env.dynamics.nonlinear import controlled_scale
 from shake_env.env import INFO_KEYS
 from shake_env.kernels.lanes import BLOCK, SOURCES, stamp
@@ -90,14 +97,14 @@ def pair(scenario, lanes):
     fused = Simulation(scenario, lanes)
     assert fused._fused is not None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compilation, "COMPILED", False)
+        patch.setattr(numba_support, "COMPILED", False)
         plain = Simulation(scenario, lanes)
     return fused, plain
 
 
 def uncompiled(call):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compilation, "COMPILED", False)
+        patch.setattr(numba_support, "COMPILED", False)
         return call()
 
 
@@ -226,7 +233,7 @@ def test_info_has_its_keys_in_order():
 
 
 def test_without_numba_the_model_steps(monkeypatch):
-    compilation._load.cache_clear()
+    numba_support._load.cache_clear()
     monkeypatch.setitem(sys.modules, "shake_env.simulation.fused_tables", None)
     try:
         sim = Simulation(make_scenario("laboratory"), 2)
@@ -234,12 +241,12 @@ def test_without_numba_the_model_steps(monkeypatch):
         sim.start(range(2), streams(range(2), 0))
         assert np.all(sim.step(np.full(2, 0.3)).reward < 0.0)
     finally:
-        compilation._load.cache_clear()
+        numba_support._load.cache_clear()
 
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_a_sharp_knee_stays_finite(compiled, monkeypatch):
-    monkeypatch.setattr(compilation, "COMPILED", compiled)
+    monkeypatch.setattr(numba_support, "COMPILED", compiled)
     law = Yielding(yield_drift=0.001, exponent=20.0)
     options = {"nonlinearity": Nonlinearity(yielding=law), "amplitude": 2.0, "duration": 5.0}
     scenario = replace(make_scenario("yielding", options), limits=Limits())
@@ -260,11 +267,12 @@ def test_a_sharp_knee_stays_finite(compiled, monkeypatch):
 
 
 def test_the_stamp_changes_with_every_source(tmp_path, monkeypatch):
-    from shake_env.kernels import lanes as block_kernel
+    from shake_env.kernels import lanes
 
     for name in SOURCES:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / f"{name}.py").write_text(name)
-    monkeypatch.setattr(block_kernel, "__file__", str(tmp_path / "block_kernel.py"))
+    monkeypatch.setattr(lanes, "__file__", str(tmp_path / "kernels" / "lanes.py"))
     found = {stamp()}
     for name in SOURCES:
         (tmp_path / f"{name}.py").write_text(name + "#")

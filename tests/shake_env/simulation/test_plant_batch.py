@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shake_env import FilteredNoise, RecordedMotion, make_scenario
-from shake_env import numba_support as compilation
+from shake_env import FilteredNoise, RecordedMotion, make_scenario, numba_support
 from shake_env.dynamics import nonlinear as nonlinear_dynamics
 from shake_env.dynamics import yielding_reference as reference
 from shake_env.dynamics.ground import GroundMaps
@@ -119,7 +118,7 @@ def test_plants_drawn_at_once_are_those_drawn_one_by_one(yielding, valve):
 @pytest.mark.parametrize("compiled", [True, False])
 def test_friction_that_is_only_drawn_acts(static, compiled, monkeypatch):
     """A nominal table without it, as controllers that do not know of it are designed on."""
-    monkeypatch.setattr(compilation, "COMPILED", compiled)
+    monkeypatch.setattr(numba_support, "COMPILED", compiled)
     nominal = Nonlinearity(friction=Friction(static=static))
     drawn = Uncertainty(coulomb_friction=Uniform(300.0, 300.0))
     scenario = make_scenario("linear", {"nonlinearity": nominal, "uncertainty": drawn, "duration": 1.0})

@@ -7,9 +7,9 @@ import pytest
 
 from agents.evaluation.compare import compare
 from agents.evaluation.protocol import contestant, evaluate
+from agents.evaluation.training_distance import PARAMETERS, training_distance, training_warning
 from agents.policies.policy_file import load_policy
 from agents.policies.registry import SHIPPED, shipped_policy
-from agents.policies.training_distance import PARAMETERS, training_distance, training_warning
 from shake_env import SCENARIO_NAMES, make_scenario
 
 LINEAR = make_scenario("linear")

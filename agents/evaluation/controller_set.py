@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from agents.evaluation.training_distance import training_warning
 from agents.policies.policy_file import PolicyFile
 from agents.policies.registry import SHIPPED, named_controller, require_controller, values_for
-from agents.policies.training_distance import training_warning
 from baselines.catalogue import BASELINES
 from baselines.registry import ParameterValues, reference_name
 from baselines.searched_lqg import FOUND
