@@ -8,7 +8,7 @@ import argparse
 
 import numpy as np
 
-from baselines.lqr.sampled import LinearFeedback, sampled_lqr
+from baselines.lqr import LinearFeedback, sampled_lqr
 from shake_env import Specimen, make_scenario
 from shake_env.rollout import noise_earthquakes, rollout
 

@@ -8,10 +8,9 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from agents.policies.policy_file import load_policy
-from agents.training.config import TrainConfig
-from agents.training.train import train
-from baselines.lqr.sampled import lqr, sampled_lqr
+from agents.policies import load_policy
+from agents.training import TrainConfig, train
+from baselines.lqr import lqr, sampled_lqr
 from shake_env import NoControl, make_scenario
 from shake_env.rollout import noise_earthquakes, rollout
 

@@ -15,7 +15,7 @@ import numpy as np
 from baselines.registry import make_baseline
 from shake_env import Record, RecordedMotion, load_record, make_scenario, read_motion
 from shake_env.model.parameters import GRAVITY
-from shake_env.motion.processing import TableCapacity, fit_amplitude
+from shake_env.motion import TableCapacity, fit_amplitude
 from shake_env.rollout import Earthquake, rollout
 
 

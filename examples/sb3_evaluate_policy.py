@@ -10,9 +10,8 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from agents.policies.policy_file import load_policy
-from agents.policies.registry import shipped_policy
-from baselines.lqr.sampled import lqr
+from agents.policies import load_policy, shipped_policy
+from baselines.lqr import lqr
 from shake_env import NoControl, make_scenario
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)

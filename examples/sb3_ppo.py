@@ -10,7 +10,7 @@ import time
 import torch
 from stable_baselines3 import PPO
 
-from agents.learning.sb3_env import compare_with_reference, make_sb3_env
+from agents.learning import compare_with_reference, make_sb3_env
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
 parser.add_argument(

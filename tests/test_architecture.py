@@ -45,7 +45,7 @@ ROOMS = """
     shake_env/motion
     shake_env/records
     shake_env/model
-    shake_env/numba_support shake_env/controller
+    shake_env/numba_support shake_env/controller shake_env/lazy
     shake_env/errors
 """
 LEARNING = {"torch", "stable_baselines3", "sb3_contrib", "tensorboard"}
@@ -211,7 +211,7 @@ def test_the_rule_sees_a_wrong_import(module, text):
     ("module", "text"),
     [
         ("shake_env.simulation.simulation", "from shake_env.model.plant import CoupledPlant"),
-        ("agents.cli.compare", "def f():\n    import agents.training.train"),
+        ("agents.cli.compare", "def f():\n    import agents.training.run"),
         ("shake_env.dynamics.linear", "compiled_module('shake_env.kernels.table')"),
     ],
 )

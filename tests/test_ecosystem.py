@@ -15,7 +15,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
-from agents.evaluation.compare import compare
+from agents.evaluation.comparison import compare
 from agents.evaluation.fidelity import Fidelity
 from agents.evaluation.results import COLUMNS, GroupSummary
 from agents.learning.features import LinearFeatures, feature_matrix, feature_sizes

@@ -1,1 +1,1 @@
-"""Package."""
+"""The commands of the command line, one module each."""

@@ -65,7 +65,7 @@ class Compare(FolderOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Compare, print, write."""
-        from agents.evaluation.compare import compare
+        from agents.evaluation.comparison import compare
         from agents.reporting.comparison_tables import print_tables, write_files
         from agents.reporting.report import Gathered, make_report
         from agents.reporting.report_page import write_report

@@ -62,7 +62,7 @@ class Train(CommandOptions):
         """Train in sight of a person, and say where the policy lies."""
         from agents.run_directory import contents
         from agents.training.progress import TrainingView
-        from agents.training.train import resume, train
+        from agents.training.run import resume, train
 
         begins = self.run_directory.is_dir() and not contents(self.run_directory)
         if self.resume and begins:

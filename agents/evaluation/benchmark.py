@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import shake_env
-from agents.evaluation.compare import compare
+from agents.evaluation.comparison import compare
 from agents.evaluation.controller_set import ALL, CLAIRVOYANT, values_to_json
 from agents.evaluation.results import Comparison, GroupSummary, plain_row
 from agents.run_directory import described, read_json

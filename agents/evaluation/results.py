@@ -75,7 +75,7 @@ def to_frame(comparison: Comparison, rows: Rows = "episodes") -> DataFrame:
     Parameters
     ----------
     comparison
-        What `agents.evaluation.compare.compare` returned.
+        What `agents.evaluation.comparison.compare` returned.
     rows
         ``"episodes"``: one row a controller and earthquake. ``"summaries"``: one a controller and group.
         ``"traces"``: one a controller and physics step of the traced earthquake.

@@ -1,1 +1,32 @@
-"""Package."""
+"""Many training runs: configurations, runner, searches."""
+
+from shake_env.lazy import names_of
+
+__getattr__, __all__ = names_of(
+    __name__,
+    {
+        "controller_tuning": (
+            "keep",
+            "kept_values",
+            "tune",
+        ),
+        "results": ("evaluate_arena",),
+        "runner": (
+            "Campaign",
+            "plan",
+            "plan_rows",
+        ),
+        "search": (
+            "Search",
+            "Standing",
+            "find_recipe",
+            "search_recipe",
+        ),
+        "search_trace": (
+            "Trace",
+            "put_searches",
+            "read_traces",
+            "write_trace",
+        ),
+    },
+)

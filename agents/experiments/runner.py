@@ -20,7 +20,7 @@ from agents.progress import Progress
 from agents.run_directory import CONFIG, PROGRESS, file_errors, read_json
 from agents.training.checkpoint import checkpoint_steps, checkpoints
 from agents.training.config import TrainConfig, require_same
-from agents.training.train import finished, require_beginnable
+from agents.training.run import finished, require_beginnable
 from shake_env.errors import RunDirectoryError, ScenarioError, unknown
 
 State = Literal["done", "begun", "waiting", "running", "failed", "foreign"]

@@ -32,7 +32,7 @@ from agents.provenance import code_version
 from agents.run_directory import POLICY, file_errors, locked
 from agents.training.checkpoint import delete_checkpoints
 from agents.training.config import config_of
-from agents.training.train import go_on
+from agents.training.run import go_on
 from shake_env.errors import (
     ParameterError,
     PolicyFileError,

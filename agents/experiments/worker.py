@@ -13,7 +13,7 @@ from pathlib import Path
 from agents.progress import Progress
 from agents.run_directory import PROGRESS, parse_json, write_json
 from agents.training.config import config_of
-from agents.training.train import go_on
+from agents.training.run import go_on
 from shake_env.errors import ShakeError
 
 PATIENCE = 120.0  # [s] in which a worker whose campaign was killed comes to its next report and ends

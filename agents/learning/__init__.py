@@ -1,1 +1,36 @@
-"""Package."""
+"""What Stable-Baselines3 learns on: environments, features, networks."""
+
+from shake_env.lazy import names_of
+
+__getattr__, __all__ = names_of(
+    __name__,
+    {
+        "features": (
+            "LinearFeatures",
+            "feature_matrix",
+            "feature_sizes",
+        ),
+        "networks": (
+            "DirectActor",
+            "DirectPolicy",
+            "GRUPolicy",
+            "LSTMPolicy",
+            "ScaleFreeDirectPolicy",
+            "ScaleFreePolicy",
+        ),
+        "sb3_env": (
+            "SB3Controller",
+            "compare_with_reference",
+            "make_sb3_env",
+        ),
+        "training_scenario": (
+            "make_training_scenario",
+            "reward_scale",
+        ),
+        "vec_env": ("ShakeTableVecEnv",),
+        "wrappers": (
+            "TrackingFeatures",
+            "TrainingWrapper",
+        ),
+    },
+)

@@ -1,1 +1,1 @@
-"""Package."""
+"""Recorded motions on the command line: channels, spectra, figures."""

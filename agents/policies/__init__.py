@@ -1,1 +1,34 @@
-"""Package."""
+"""Policy files and everything that drives a table with one, in numpy; controllers by name."""
+
+from shake_env.lazy import names_of
+
+__getattr__, __all__ = names_of(
+    __name__,
+    {
+        "base_law": ("at_own_cost",),
+        "estimated_law": ("EstimatedLaw",),
+        "onnx_export": ("export_onnx",),
+        "own_controller": (
+            "is_own_controller",
+            "own_baseline",
+            "own_source",
+        ),
+        "policy_file": (
+            "PolicyFile",
+            "digest",
+            "load_policy",
+        ),
+        "recurrent_cells": (
+            "GatedUnit",
+            "LongShortTermUnit",
+        ),
+        "registry": (
+            "file_of",
+            "named_controller",
+            "require_controller",
+            "shipped_policy",
+            "values_for",
+        ),
+        "symmetry": ("mirror_averaged",),
+    },
+)

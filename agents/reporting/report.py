@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.evaluation.bootstrap import mean_interval
-from agents.evaluation.compare import Histories
+from agents.evaluation.comparison import Histories
 from agents.evaluation.controller_set import CLAIRVOYANT
 from agents.evaluation.fidelity import spectrum
 from agents.evaluation.results import Comparison

@@ -1,1 +1,1 @@
-"""Package."""
+"""Studies beside the daily path: reproduction of the paper, validation, components."""

@@ -1,1 +1,37 @@
-"""Package."""
+"""One training run: configuration, checkpoints, exact resumption, export."""
+
+from shake_env.lazy import names_of
+
+__getattr__, __all__ = names_of(
+    __name__,
+    {
+        "algorithm_options": (
+            "AnalyticOptions",
+            "PPOOptions",
+            "RecurrentPPOOptions",
+            "SACOptions",
+            "TD3Options",
+            "TQCOptions",
+        ),
+        "checkpoint": (
+            "checkpoint_steps",
+            "checkpoints",
+            "delete_checkpoints",
+        ),
+        "config": (
+            "TrainConfig",
+            "config_of",
+            "read_config",
+            "require_same",
+        ),
+        "model_factory": ("new_model",),
+        "progress": ("TrainingView",),
+        "run": (
+            "finished",
+            "go_on",
+            "require_beginnable",
+            "resume",
+            "train",
+        ),
+    },
+)

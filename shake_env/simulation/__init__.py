@@ -1,1 +1,26 @@
-"""Package."""
+"""N tables in their episodes: transition, excitation, sensors, metrics."""
+
+from shake_env.simulation.excitation import Excitation
+from shake_env.simulation.memory import check_memory
+from shake_env.simulation.metrics import EpisodeMetrics, Sums
+from shake_env.simulation.sensors import Measurement, SensorMemory
+from shake_env.simulation.simulation import Simulation, StepResult, episode_stream, step_report
+from shake_env.simulation.trajectory import Recorder, Trajectory
+from shake_env.simulation.transition import TableModel, dynamics_of
+
+__all__ = [
+    "EpisodeMetrics",
+    "Excitation",
+    "Measurement",
+    "Recorder",
+    "SensorMemory",
+    "Simulation",
+    "StepResult",
+    "Sums",
+    "TableModel",
+    "Trajectory",
+    "check_memory",
+    "dynamics_of",
+    "episode_stream",
+    "step_report",
+]

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from agents.__main__ import main
-from agents.evaluation.compare import compare
+from agents.evaluation.comparison import compare
 from agents.reporting.benchmark_tables import markdown, put_tables
 from agents.reporting.comparison_tables import print_tables
 from baselines.catalogue import BASELINES

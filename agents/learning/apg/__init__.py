@@ -1,1 +1,1 @@
-"""Package."""
+"""Analytic policy gradient: learning through the differentiable plant."""

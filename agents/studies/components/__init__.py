@@ -1,1 +1,1 @@
-"""Package."""
+"""Figures of the nonlinear parts of a table."""

@@ -1,1 +1,1 @@
-"""Package."""
+"""Tables and figures of Gavin and Hoagg (2009)."""

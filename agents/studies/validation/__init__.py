@@ -1,1 +1,1 @@
-"""Package."""
+"""Transient responses against physical ranges; reduction of the closed loop."""

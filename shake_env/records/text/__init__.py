@@ -1,1 +1,1 @@
-"""Package."""
+"""Text files of recorded motion in columns: encoding, header, titles, times, numbers."""

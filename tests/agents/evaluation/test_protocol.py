@@ -9,7 +9,7 @@ import pytest
 
 from agents.__main__ import main
 from agents.evaluation.benchmark import TEST_SEED
-from agents.evaluation.compare import compare
+from agents.evaluation.comparison import compare
 from agents.evaluation.protocol import Contestant, contestant, evaluate, optimal_cost, policy_files
 from agents.evaluation.result_files import read_results, write_result
 from agents.evaluation.scores import cost_figures
@@ -17,7 +17,7 @@ from agents.experiments.controller_tuning import VALIDATION_SEED
 from agents.policies.policy_file import digest, load_policy
 from agents.policies.registry import shipped_policy
 from agents.reporting.evaluation_tables import markdown, put_tables
-from agents.training.train import EVALUATION_SEED
+from agents.training.run import EVALUATION_SEED
 from baselines.lqr.preview import preview_lqr
 from baselines.lqr.sampled import sampled_lqr
 from shake_env import make_scenario

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agents.__main__ import main
-from agents.evaluation.compare import compare
+from agents.evaluation.comparison import compare
 from agents.evaluation.perturbations import (
     QUANTITIES,
     NoisyState,

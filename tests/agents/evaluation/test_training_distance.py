@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from agents.evaluation.compare import compare
+from agents.evaluation.comparison import compare
 from agents.evaluation.protocol import contestant, evaluate
 from agents.evaluation.training_distance import PARAMETERS, training_distance, training_warning
 from agents.policies.policy_file import load_policy

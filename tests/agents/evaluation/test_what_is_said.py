@@ -5,7 +5,7 @@ import json
 import pytest
 
 from agents.__main__ import main
-from agents.evaluation.compare import compare
+from agents.evaluation.comparison import compare
 from agents.evaluation.results import cost_text
 from agents.reporting.benchmark_tables import markdown
 from agents.reporting.comparison_tables import print_tables

@@ -22,7 +22,7 @@ from agents.training.algorithm_options import PPOOptions
 from agents.training.checkpoint import checkpoints
 from agents.training.config import TrainConfig
 from agents.training.model_factory import ALGORITHMS
-from agents.training.train import go_on, resume, train
+from agents.training.run import go_on, resume, train
 from shake_env.errors import ParameterError, RunDirectoryError, ScenarioError
 
 SMALL = TrainConfig(

@@ -30,7 +30,7 @@ from agents.progress import Progress
 from agents.run_directory import locked
 from agents.training.algorithm_options import PPOOptions, SACOptions
 from agents.training.config import TrainConfig, config_of
-from agents.training.train import EVALUATION_SEED
+from agents.training.run import EVALUATION_SEED
 from baselines.lqr.sampled import lqr
 from shake_env.errors import ParameterError, RunDirectoryError, ScenarioError
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.__main__ import main
-from agents.evaluation.compare import compare
+from agents.evaluation.comparison import compare
 from agents.evaluation.protocol import contestant, evaluate
 from agents.experiments.controller_tuning import tune
 from agents.policies.own_controller import is_own_controller, own_baseline

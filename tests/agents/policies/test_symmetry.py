@@ -12,7 +12,7 @@ from agents.policies.symmetry import mirror_averaged
 from agents.training.algorithm_options import AnalyticOptions, PPOOptions
 from agents.training.checkpoint import load_checkpoint
 from agents.training.config import TrainConfig
-from agents.training.train import train, training_tables
+from agents.training.run import train, training_tables
 from shake_env.errors import ParameterError, PolicyFileError
 
 

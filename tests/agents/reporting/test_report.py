@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agents.__main__ import main
-from agents.evaluation.compare import compare, summarise
+from agents.evaluation.comparison import compare, summarise
 from agents.evaluation.fidelity import Fidelity
 from agents.evaluation.results import Comparison
 from agents.reporting.report import Gathered, channels, make_report, policy_files_of, unique_labels

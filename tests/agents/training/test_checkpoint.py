@@ -24,7 +24,7 @@ from agents.training.algorithm_options import PPOOptions
 from agents.training.checkpoint import checkpoints, load_checkpoint
 from agents.training.config import TrainConfig
 from agents.training.plain_state import generator, generator_state, joined, split
-from agents.training.train import finished, go_on, resume, train, training_tables
+from agents.training.run import finished, go_on, resume, train, training_tables
 from shake_env.errors import PolicyFileError, RunDirectoryError, ShakeError
 from shake_env.scenario.overrides import make_scenario
 

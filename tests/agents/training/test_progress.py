@@ -13,7 +13,7 @@ from agents.scenario_options import ScenarioOptions
 from agents.training.algorithm_options import AnalyticOptions, PPOOptions, SACOptions
 from agents.training.config import TrainConfig
 from agents.training.progress import BARS, TrainingView, meaning, sparkline
-from agents.training.train import train
+from agents.training.run import train
 
 
 def shown(*told):

@@ -24,7 +24,7 @@ from agents.training.checkpoint import load_checkpoint
 from agents.training.config import TrainConfig
 from agents.training.model_factory import new_model
 from agents.training.policy_export import export_policy
-from agents.training.train import resume, train, training_tables
+from agents.training.run import resume, train, training_tables
 from agents.training.warm_start import begin_with
 from shake_env.errors import PolicyFileError
 

@@ -17,7 +17,7 @@ from agents.policies.base_law import base_row
 from agents.training.algorithm_options import AnalyticOptions
 from agents.training.config import TrainConfig
 from agents.training.model_factory import DirectPolicy, new_model
-from agents.training.train import train
+from agents.training.run import train
 from shake_env import make_scenario
 from shake_env.errors import ParameterError
 from shake_env.simulation.plant_batch import Fleet

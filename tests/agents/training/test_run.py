@@ -21,7 +21,7 @@ from agents.training.algorithm_options import (
 )
 from agents.training.checkpoint import checkpoint_steps, checkpoints
 from agents.training.config import TrainConfig, read_config
-from agents.training.train import resume, train
+from agents.training.run import resume, train
 from shake_env.errors import ParameterError, RunDirectoryError
 
 
