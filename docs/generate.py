@@ -36,6 +36,18 @@ PACKAGES = {
     "baselines": "Classical controllers, each a `Controller`.",
     "agents": "Learning, comparison and the command line: what needs torch, SB3 or a terminal.",
 }
+# Rooms in reading order; modules at the top of a package come first.
+TOPICS = {
+    "shake_env": (
+        "model", "scenario", "motion", "records", "dynamics", "simulation", "safety", "rendering",
+        "kernels",
+    ),
+    "baselines": ("lqr", "estimation", "servo", "iterative", "analysis"),
+    "agents": (
+        "policies", "evaluation", "training", "learning", "experiments", "reporting", "motions",
+        "studies", "cli",
+    ),
+}  # fmt: skip
 DESIGNABLE = ("linear", "as-printed", "laboratory", "unknown-specimen", "yielding")
 
 
@@ -227,7 +239,7 @@ def command_line() -> str:
 
 
 def public_modules(package: str) -> list[str]:
-    """Return the dotted names of a package's modules that say something in a docstring."""
+    """Return the dotted names of a package's modules that have a docstring, by topic, then by name."""
     names = []
     for path in sorted((ROOT / package).rglob("*.py")):
         parts = path.relative_to(ROOT).with_suffix("").parts
@@ -236,7 +248,8 @@ def public_modules(package: str) -> list[str]:
         module = parts[:-1] if parts[-1] == "__init__" else parts
         if ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))):
             names.append(".".join(module))
-    return names
+    order = {topic: number for number, topic in enumerate(TOPICS[package])}
+    return sorted(names, key=lambda name: (order.get([*name.split("."), ""][1], -1), name))
 
 
 def own_names(path: Path) -> list[str]:
