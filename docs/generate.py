@@ -191,7 +191,7 @@ def columns() -> str:
         "same names. `frame.attrs[\"units\"]` holds the units. A ratio has the unit `-`, a count `1`.\n",
         table(("column", "unit", "meaning"), rows),
         """```python
-from agents.evaluation.comparison import compare
+from agents.evaluation import compare
 from shake_env import make_scenario
 
 result = compare(make_scenario("linear", {"duration": 2.0}), ("lqr", "none"), noise=4, records=False)
