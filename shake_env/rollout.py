@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from shake_env.controller import Controller
+from shake_env.controller import Controller, decide
 from shake_env.errors import ParameterError
 from shake_env.limits import REASONS
 from shake_env.metrics import EpisodeMetrics, Sums
@@ -118,7 +118,7 @@ def rollout(
     memory: tuple[Any, ...] | None = None
     start = np.ones(lanes, dtype=bool)
     for t in range(steps):
-        action, memory = controller.predict(observation, memory, start, deterministic=True)
+        action, memory = decide(controller, observation, memory, start)
         start = np.zeros(lanes, dtype=bool)
         # A finished lane idles at rest, so that an unstable one cannot overflow.
         chosen = np.where(running, checked_action(action, (lanes, 1))[:, 0], 0.0)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shake_env.braking import ACTUATOR, Foresight
-from shake_env.controller import Controller
+from shake_env.controller import Controller, decide
 from shake_env.errors import ScenarioError
 from shake_env.parameters import FloatArray, Specimen
 from shake_env.plant import LOAD_PRESSURE, SPOOL_POSITION, TABLE_VELOCITY
@@ -137,12 +137,13 @@ class Supervised:
     ) -> tuple[NDArray[np.float32], tuple[Any, ...]]:
         """Return the controller's action (..., 1), limited, and ``(its state, the supervisor's)``."""
         inner, memory = (None, None) if state is None else state
-        action, inner = self.controller.predict(observation, inner, episode_start, deterministic)
+        # Read before the controller is asked: nothing that it does to an array counts.
         readings = np.atleast_2d(observation)[:, self._places] * self._scale
-        wanted = np.asarray(action, dtype=np.float64).reshape(len(readings))
         begins = np.zeros(len(readings), dtype=bool)
         if episode_start is not None:
             begins |= np.atleast_1d(episode_start)
+        action, inner = decide(self.controller, observation, inner, episode_start, deterministic)
+        wanted = np.array(action, dtype=np.float64).reshape(len(readings))
         memory = self._look(memory, readings, begins)
         sent, memory = self._limit(memory, readings, wanted)
         self._latest = memory
