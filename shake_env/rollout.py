@@ -119,7 +119,6 @@ def rollout(
     start = np.ones(lanes, dtype=bool)
     for t in range(steps):
         action, memory = decide(controller, observation, memory, start)
-        start = np.zeros(lanes, dtype=bool)
         # A finished lane idles at rest, so that an unstable one cannot overflow.
         chosen = np.where(running, checked_action(action, (lanes, 1))[:, 0], 0.0)
         result = simulation.step(chosen)
@@ -129,6 +128,7 @@ def rollout(
             reasons[lane] = REASONS[int(result.outcome.broken[lane]) - 1]
         running &= ~(result.terminated | result.truncated)
         simulation.state[~running] = 0.0
+        start = ~running  # a finished lane stands as one that begins: no controller takes it for a jump
         observation = result.observation
         if t % 64 == 0:
             on_step((t + 1) / steps)
