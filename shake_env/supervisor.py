@@ -226,14 +226,12 @@ class Supervised:
         table = estimate.table
         z = self._state(memory, table)
         across = z.astype(np.float32) @ seen.rows
-        upper = (seen.bound - across).min(axis=(0, 2)) / full
-        lower = -(seen.bound + across).min(axis=(0, 2)) / full
-        margin = (DEVIATIONS * estimate.deviation + MISFIT * misfit).astype(np.float32)
-        lanes = np.flatnonzero(margin.any(axis=1))
-        if len(lanes):
-            reach, part = seen.bound - margin[lanes] @ self._sensitivity, across[:, lanes]
-            upper[lanes] = (reach - part).min(axis=(0, 2)) / full
-            lower[lanes] = -(reach + part).min(axis=(0, 2)) / full
+        margin = DEVIATIONS * estimate.deviation + MISFIT * misfit
+        reach = seen.bound
+        if margin.any():
+            reach = reach - margin.astype(np.float32) @ self._sensitivity
+        upper = (reach - across).min(axis=(0, 2)) / full
+        lower = -(reach + across).min(axis=(0, 2)) / full
         brake = -np.concatenate([table, memory.commands], axis=-1) @ seen.feedback / full
         finite = np.isfinite(wanted)
         asked = np.where(finite, wanted, 0.0).clip(-1.0, 1.0)

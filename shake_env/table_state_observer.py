@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ GAIN_ERROR = 0.2  # [-] rms error of valve gain and bulk modulus; 30 % is one an
 DELAY_ERROR = 0.3  # [-] of a control period
 FORCE_STEP = 0.1  # [-] of table mass times the acceleration's limit: change of the force in a period
 ROUNDING = 1e-4  # [-] of a laboratory's full scale: error of a reading without noise
+START = 0.01  # [m] rms displacement of a table when an episode begins
 FADING = 0.97  # [-] share of a misfit that is still counted a period later
 
 
@@ -40,6 +42,7 @@ class ObserverMemory:
     covariance: FloatArray  # (N, 5, 5)
     before: FloatArray  # (N, s) readings of the period before; NaN: none
     equal: NDArray[np.int64]  # (N, s) readings in a row that were equal
+    filtered: FloatArray  # (N, s - 4) what the accelerometer's low-pass gave, SI
     faulty: NDArray[np.bool_]  # (N, s) readings of that period that were left out
     misfit: FloatArray  # (N, 4) recent part of the innovations of x_A that noise does not explain
     faults: NDArray[np.int64]  # (N, s) readings left out as faulty, over all episodes
@@ -120,11 +123,13 @@ class TableStateObserver:
         """Return the memory of tables at rest."""
         s = len(self.channels.names)
         rest = np.append(self.R[:ACTUATOR], self.Q[-1, -1])
+        rest[TABLE_DISPLACEMENT] = (START / self.size[TABLE_DISPLACEMENT]) ** 2
         return ObserverMemory(
             state=np.zeros((lanes, STATES)),
             covariance=np.tile(np.diag(rest), (lanes, 1, 1)),
             before=np.full((lanes, s), np.nan),
             equal=np.zeros((lanes, s), dtype=np.int64),
+            filtered=np.zeros((lanes, s - ACTUATOR)),
             faulty=np.zeros((lanes, s), dtype=bool),
             misfit=np.zeros((lanes, ACTUATOR)),
             faults=np.zeros((lanes, s), dtype=np.int64),
@@ -155,8 +160,7 @@ class TableStateObserver:
         faulty = faulty | (repeated & memory.faulty)  # what was wrong is no better for being repeated
         value = readings.copy()
         if len(C) > ACTUATOR:
-            last = memory.before[:, ACTUATOR:]
-            last = np.where(np.isfinite(last), last, readings[:, ACTUATOR:])
+            last = memory.filtered
             value[:, ACTUATOR:] = last + (readings[:, ACTUATOR:] - last) / channels.follow
         value = np.where(np.isfinite(value), value, 0.0) / self.unit
         P = memory.covariance
@@ -189,25 +193,30 @@ class TableStateObserver:
         variance = np.maximum(covariance[:, range(ACTUATOR), range(ACTUATOR)], 0.0)
         size = self.size[:ACTUATOR]
         unexplained = np.abs(innovation[:, :ACTUATOR]) - 3.0 * self._usual
-        unexplained = size * np.where(faulty[:, :ACTUATOR], 0.0, unexplained)
+        begins = np.isnan(memory.before[:, :ACTUATOR])  # what is read first tells nothing of the model
+        unexplained = size * np.where(faulty[:, :ACTUATOR] | begins, 0.0, unexplained)
         table = np.where(fits[:, None], readings[:, :ACTUATOR], size * state[:, :ACTUATOR])
         deviation = np.where(fits[:, None], 0.0, size * np.sqrt(variance))
-        return Estimate(table, deviation, faulty, state @ C.T * self.unit), replace(
+        expected = state @ C.T * self.unit
+        return Estimate(table, deviation, faulty, expected), replace(
             memory,
             state=state,
             covariance=covariance,
             before=np.where(np.isfinite(readings), readings, memory.before),
             equal=equal,
+            filtered=np.where(faulty, expected, readings)[:, ACTUATOR:],
             faulty=faulty,
             misfit=np.maximum(FADING * memory.misfit, unexplained),
             faults=memory.faults + faulty,
         )
 
-    @property
+    @cached_property
     def _usual(self) -> FloatArray:
         """Rms of the innovations of x_A (4,) on the plant that is known, at rest."""
-        P = self.Q + self.A[:, :ACTUATOR] @ np.diag(self.R[:ACTUATOR]) @ self.A[:, :ACTUATOR].T
-        return np.sqrt(np.diagonal(P)[:ACTUATOR] + self.R[:ACTUATOR])
+        A = self.A[:, :ACTUATOR]
+        variance = np.diagonal(self.Q + (A * self.R[:ACTUATOR]) @ A.T)[:ACTUATOR]
+        usual: FloatArray = np.sqrt(variance + self.R[:ACTUATOR])
+        return usual
 
     def predict(self, memory: ObserverMemory, commands: FloatArray, flow: FloatArray) -> ObserverMemory:
         """Return the memory with state and covariance of the next period.

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from agents.hostile_controllers import Hostile
 from baselines.lqr import lqr
 from shake_env import Limits, NoControl, Sensing, Sensor, Supervised, Uncertainty, Uniform, make_scenario
 from shake_env.errors import NumericalError, ScenarioError
@@ -13,54 +14,8 @@ from shake_env.rollout import noise_earthquakes, rollout
 from shake_env.simulation import Simulation
 from shake_env.supervisor import SHARES
 
-KINDS = ("linear", "sign of linear", "square", "sweep", "constant", "noise", "sign", "nan", "burst")
 UNKNOWN = Uncertainty(mass_ratio=Uniform(0.1, 1.0), storey_frequency=Uniform(5.0, 9.0))
 KNOWN = {"mass_ratio": Uniform(0.5, 0.5), "storey_frequency": Uniform(7.0, 7.0)}
-
-
-class Hostile:
-    """A controller of another kind in every lane: gains, frequencies and amplitudes at random."""
-
-    def __init__(self, scenario, lanes, seed):
-        r = self.random = np.random.default_rng([seed, 77])
-        layout, self.period = scenario.observation, scenario.control_period
-        n = layout.size
-        self.kind = np.arange(lanes) % len(KINDS)
-        some = r.random((lanes, n)) < r.choice([0.1, 0.3, 1.0], (lanes, 1))
-        self.row = r.normal(size=(lanes, n)) * some * 10 ** r.uniform(-2.0, 3.0, (lanes, 1))
-        bands = (
-            r.uniform(2.0, 16.0, lanes),
-            r.uniform(28.0, 42.0, lanes),
-            10 ** r.uniform(-0.5, 2, lanes),
-        )
-        self.frequency = np.choose(r.choice(3, lanes, p=(0.5, 0.3, 0.2)), bands)  # specimen, oil, any
-        self.amplitude = np.where(r.random(lanes) < 0.6, 1.0, 10 ** r.uniform(-2.0, 1.0, lanes))
-        self.amplitude *= r.choice([-1.0, 1.0], lanes)
-        self.hold = np.where(r.random(lanes) < 0.5, 1, r.integers(1, 40, lanes))
-        actuator = scenario.plant.layout.actuator.start
-        first = layout.readings.start if layout.readings_count else actuator
-        self.reading = first + r.integers(0, max(layout.readings_count, 4), lanes)
-        self.rate = 10 ** r.uniform(-3.0, -0.3, lanes)
-        self.bad = r.choice([np.nan, np.inf, -np.inf], lanes)
-        self.two_valued = r.random(lanes) < 0.5
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        k, held = (0, np.zeros(len(observation))) if state is None else state
-        lanes, t, r = np.arange(len(observation)), k * self.period, self.random
-        linear = np.einsum("ij,ij->i", observation.astype(float), self.row)
-        white = np.where(
-            self.two_valued, r.choice([-1.0, 1.0], len(lanes)), r.uniform(-1, 1, len(lanes))
-        )
-        held = np.where(k % self.hold == 0, self.amplitude * white, held)
-        square = self.amplitude * np.where(np.sin(2 * np.pi * self.frequency * t) >= 0.0, 1.0, -1.0)
-        sweep = self.amplitude * np.sin(2 * np.pi * (0.5 * t + self.frequency * t**2 / 6.0))
-        sign = self.amplitude * np.sign(observation[lanes, self.reading])
-        bad = np.where(
-            r.random(len(lanes)) < self.rate, self.bad, np.where(self.two_valued, square, held)
-        )
-        burst = np.where((k // self.hold) % 2 == 0, square, sign)
-        choices = [linear, np.sign(linear), square, sweep, self.amplitude, held, sign, bad, burst]
-        return np.choose(self.kind, choices)[:, None], (k + 1, held)
 
 
 class Constant:
