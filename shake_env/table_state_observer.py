@@ -156,8 +156,9 @@ class TableStateObserver:
             Of the present; the memory holds the filter's state and covariance with the readings in.
         """
         channels, C = self.channels, self.C
-        faulty, repeated, equal = channels.incredible(readings, memory.before, memory.equal)
-        faulty = faulty | (repeated & memory.faulty)  # what was wrong is no better for being repeated
+        impossible, repeated, equal = channels.incredible(readings, memory.before, memory.equal)
+        # What was wrong is no better for being repeated.
+        faulty: NDArray[np.bool_] = impossible | (repeated & memory.faulty)
         value = readings.copy()
         if len(C) > ACTUATOR:
             last = memory.filtered
@@ -189,7 +190,7 @@ class TableStateObserver:
         K = gain @ W * (weigh / size)[:, None, :]
         kept = np.eye(STATES) - K @ C
         covariance = kept @ P @ np.swapaxes(kept, 1, 2) + (K * self.R) @ np.swapaxes(K, 1, 2)
-        fits = ~faulty[:, :ACTUATOR].any(axis=1)
+        fits = (faulty[:, :ACTUATOR] == 0).all(axis=1)
         variance = np.maximum(covariance[:, range(ACTUATOR), range(ACTUATOR)], 0.0)
         size = self.size[:ACTUATOR]
         unexplained = np.abs(innovation[:, :ACTUATOR]) - 3.0 * self._usual

@@ -2,11 +2,12 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from agents.fault_study import CASES, broken_limits, main, study
+from agents.fault_study import CASES, broken_limits, main, study, table
 from agents.hostile_controllers import Hostile
 from baselines.lqg import lqg
 from shake_env import NoControl, Sensing, Supervised, Uncertainty, Uniform, make_scenario
@@ -215,3 +216,11 @@ def test_a_table_may_begin_off_the_middle_of_its_stroke():
     assert scenario.observation.reading_names[0] == "table_displacement"
     _, report = drive(Supervised(NoControl(), scenario), scenario, 60, shift, place)
     assert not any(count.any() for count in report.faults.values())
+
+
+def test_the_page_shows_the_study():
+    root = Path(__file__).parents[1]
+    result = json.loads((root / "docs" / "results" / "fault_study.json").read_text(encoding="utf-8"))
+    assert set(result["cases"]) == set(CASES)
+    assert not any(row["broken"] for row in result["cases"].values() if row["required"])
+    assert table(result) in (root / "docs" / "safety.md").read_text(encoding="utf-8")
