@@ -1,9 +1,9 @@
 """What braking will do: the table's motion from now on, as an affine function of one command.
 
-A command holds for one period; from then on a braking law, a fixed feedback of what every table
-measures, brings the table to rest. On the linear plant everything that follows (displacement, velocity,
-pressure, accelerations, the law's own commands) is affine in the present command. A row here is one
-quantity at one time under one specimen that the table may carry.
+A command holds for one period; from then on a braking law, a fixed feedback of the last command and
+the displacement, brings the table to rest. On the linear plant everything that follows (displacement,
+velocity, pressure, accelerations, the law's own commands) is affine in the present command. A row here
+is one quantity at one time under one specimen that the table may carry.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from shake_env.plant import (
 from shake_env.scenario import Scenario
 
 ACTUATOR = 4  # x_A leads every vector here
-# Quantity: [s] between looks at it, and the last. The law stops a table in 0.06 s, and what swings with
-# the oil column is over by then, at 14 looks a period of it; a specimen of 3 Hz answers within half its
-# own. Over thousands of hostile controllers no later look decided anything.
+# Quantity: [s] between looks at it, and the last. The law stops a table in 0.1 s, most of it in the
+# first 0.05 s. There are 14 looks at a period of the oil column. A specimen of 3 Hz answers within half
+# its own.
 LOOKS = {
     "table_displacement": (0.010, 0.2),
     "table_velocity": (0.002, 0.05),

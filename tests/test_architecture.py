@@ -14,7 +14,7 @@ GYMNASIUM = {"__init__.py", "env.py", "vector_env.py", "rendering.py"}
 LAYERS = [
     {"errors", "controller", "compilation"},
     {"parameters"},
-    {"plant", "records"},
+    {"plant", "records", "interventions"},
     {"discretization", "motion", "objective", "limits", "nonlinearity", "sensing", "uncertainty"},
     {"dynamics", "preparation", "fields", "block_kernel"},
     {"compiled", "ground_kernel", "adjoint_kernel", "normal_kernel"},
