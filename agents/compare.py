@@ -26,7 +26,7 @@ from baselines.clairvoyant import clairvoyant
 from baselines.drive_file import DriveFile
 from baselines.registry import ParameterValues
 from baselines.tuned_values import TunedValues
-from shake_env.controller import Controller
+from shake_env.controller import Controller, decide
 from shake_env.errors import ParameterError
 from shake_env.metrics import EpisodeMetrics
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
@@ -138,7 +138,7 @@ def decision_time(controller: Controller, scenario: Scenario, decisions: int = 2
     memory, start, times = None, np.ones(1, dtype=bool), []
     for _ in range(min(decisions, int(simulation.episode_steps[0]))):
         began = time.process_time()
-        action, memory = controller.predict(observation[0], memory, start, deterministic=True)
+        action, memory = decide(controller, observation[0], memory, start)
         times.append(time.process_time() - began)
         start = np.zeros(1, dtype=bool)
         observation = simulation.step(np.asarray(action, dtype=float)).observation

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.clairvoyant import true_plants
-from shake_env.controller import Controller
+from shake_env.controller import Controller, decide
 from shake_env.errors import ParameterError, ScenarioError
 from shake_env.nonlinearity import Nonlinearity
 from shake_env.parameters import FloatArray
@@ -133,7 +133,7 @@ class DriveFile:
         else:
             action = np.take_along_axis(self._padded, at[:, None], axis=-1)[:, 0]
         if self.feedback is not None:
-            added, below = self.feedback.predict(observation, below, episode_start, deterministic)
+            added, below = decide(self.feedback, observation, below, episode_start, deterministic)
             action = action + added[..., 0]
         return np.clip(action, -1.0, 1.0)[..., None].astype(np.float32), (index + 1, below)
 
