@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shake_env.controller import Controller
+from shake_env.controller import Controller, decide
 from shake_env.errors import ParameterError
 from shake_env.scenario.scenario import Scenario
 
@@ -46,7 +46,7 @@ class PerLane:
         actions, kept = [], []
         for lane, controller in enumerate(self.controllers):
             begins = None if episode_start is None else episode_start[lane : lane + 1]
-            action, memory = controller.predict(observation[lane], memories[lane], begins, deterministic)
+            action, memory = decide(controller, observation[lane], memories[lane], begins, deterministic)
             actions.append(action)
             kept.append(memory)
         return np.stack(actions), tuple(kept)
@@ -84,7 +84,7 @@ class Rescaled:
     ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
         """Return the inner controller's action (..., 1) for an observation (..., n), and its memory."""
         scaled = (observation * self._factor).astype(np.float32)
-        return self._controller.predict(scaled, state, episode_start, deterministic)
+        return decide(self._controller, scaled, state, episode_start, deterministic)
 
 
 def rescaling(seen: Scenario, plant: Scenario) -> NDArray[np.float64]:

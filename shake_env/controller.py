@@ -43,6 +43,25 @@ class Controller(Protocol):
         ...
 
 
+def decide(
+    controller: Controller,
+    observation: NDArray[np.float32],
+    state: tuple[Any, ...] | None = None,
+    episode_start: NDArray[np.bool_] | None = None,
+    deterministic: bool = True,
+) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
+    """Return `controller.predict` of copies: the arrays of the caller cannot be changed by it.
+
+    Every roll-out and every wrapper asks its controller through this function. The copy of the
+    observation is read-only, so that a controller which writes into it is stopped with numpy's
+    ValueError rather than misled.
+    """
+    shown = np.array(observation)
+    shown.flags.writeable = False
+    begins = None if episode_start is None else np.array(episode_start, dtype=bool)
+    return controller.predict(shown, state, begins, deterministic)
+
+
 class NoControl:
     """Zero current: the table that does nothing."""
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from shake_env.controller import Controller
+from shake_env.controller import Controller, decide
 from shake_env.errors import ParameterError
 from shake_env.motion.processing import fit_amplitude
 from shake_env.motion.targets import FilteredNoise, Motion, MotionSet, RecordedMotion
@@ -132,8 +132,7 @@ def rollout(
     memory: tuple[Any, ...] | None = None
     start = np.ones(lanes, dtype=bool)
     for t in range(steps):
-        action, memory = controller.predict(observation, memory, start, deterministic=True)
-        start = np.zeros(lanes, dtype=bool)
+        action, memory = decide(controller, observation, memory, start)
         # A finished lane idles at rest, so that an unstable one cannot overflow.
         chosen = np.where(running, checked_action(action, (lanes, 1))[:, 0], 0.0)
         result = simulation.step(chosen)
@@ -143,6 +142,7 @@ def rollout(
             reasons[lane] = REASONS[int(result.outcome.broken[lane]) - 1]
         running &= ~(result.terminated | result.truncated)
         simulation.state[~running] = 0.0
+        start = ~running  # a finished lane stands as one that begins: no controller takes it for a jump
         observation = result.observation
         if t % 64 == 0:
             on_step((t + 1) / steps)

@@ -21,7 +21,7 @@ from agents.progress import progress_bar
 from agents.reporting.video import FILMS, film
 from agents.scenario_options import ScenarioOptions
 from shake_env import ShakeTableEnv
-from shake_env.controller import Controller
+from shake_env.controller import Controller, decide
 from shake_env.errors import ParameterError, ScenarioError, unknown
 from shake_env.motion.targets import Motion
 from shake_env.rendering.window import FRAME_RATE, NO_DISPLAY, Window
@@ -158,9 +158,7 @@ class Episode:
         memory, shown, over = None, 0, False
         yield env.render()  # type: ignore[misc]  # an array in this mode
         while not over:
-            action, memory = self.controller.predict(
-                observation, memory, np.array([self.steps == 0]), deterministic=True
-            )
+            action, memory = decide(self.controller, observation, memory, np.array([self.steps == 0]))
             observation, reward, terminated, truncated, info = env.step(action)
             self.steps += 1
             self.time = self.steps * self.scenario.control_period

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from shake_env.controller import Controller
+from shake_env.controller import Controller, decide
 from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.simulation import Simulation
 
@@ -25,7 +25,7 @@ def decision_time(controller: Controller, scenario: Scenario, decisions: int = 2
     memory, start, times = None, np.ones(1, dtype=bool), []
     for _ in range(min(decisions, int(simulation.episode_steps[0]))):
         began = time.process_time()
-        action, memory = controller.predict(observation[0], memory, start, deterministic=True)
+        action, memory = decide(controller, observation[0], memory, start)
         times.append(time.process_time() - began)
         start = np.zeros(1, dtype=bool)
         observation = simulation.step(np.asarray(action, dtype=float)).observation

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.batch_controllers import Rescaled
-from shake_env.controller import Controller
+from shake_env.controller import Controller, decide
 from shake_env.errors import ParameterError
 from shake_env.model.parameters import ModelEquations, Specimen
 from shake_env.scenario.scenario import UNIFORM, Scenario
@@ -211,7 +211,7 @@ class NoisyState:
         width = self._measured.stop - self._measured.start
         noise = np.stack([stream.standard_normal(width) for stream in streams])
         shaken[:, self._measured] += (self._level * noise).astype(np.float32)
-        action, memory = self._controller.predict(shaken, memory, episode_start, deterministic)
+        action, memory = decide(self._controller, shaken, memory, episode_start, deterministic)
         return action, (streams, memory)
 
 

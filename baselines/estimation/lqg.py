@@ -21,7 +21,7 @@ from baselines.estimation.estimator_model import EstimatorModel, ModelError
 from baselines.estimation.ground_estimate import ReferenceRecursion, foresight
 from baselines.estimation.kalman import KalmanFilter
 from baselines.lqr.sampled import lqr
-from shake_env.controller import Controller
+from shake_env.controller import Controller, decide
 from shake_env.model.parameters import FloatArray
 from shake_env.scenario.observation import Sensing
 from shake_env.scenario.scenario import Scenario
@@ -100,10 +100,10 @@ class EstimatedState:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
         """Return the action (..., 1) for an observation (..., n), and ``(EstimateMemory,)``."""
-        seen = np.asarray(observation, dtype=float)
+        seen = np.array(observation, dtype=float)  # parts of it are remembered
         memory = self._present(seen, None if state is None else state[0], episode_start)
         believed = self._look_ahead(seen, memory).astype(np.float32)
-        action, inner = self.law.predict(believed, memory.inner, episode_start, deterministic)
+        action, inner = decide(self.law, believed, memory.inner, episode_start, deterministic)
         given = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
         actions = np.concatenate([memory.actions[..., 1:], given], axis=-1)
         return action, (replace(memory, actions=actions, inner=inner),)

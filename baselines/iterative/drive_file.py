@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shake_env.controller import Controller
+from shake_env.controller import Controller, decide
 from shake_env.errors import ParameterError, ScenarioError
 from shake_env.model.nonlinearity import Nonlinearity
 from shake_env.model.parameters import FloatArray
@@ -132,7 +132,7 @@ class DriveFile:
         else:
             action = np.take_along_axis(self._padded, at[:, None], axis=-1)[:, 0]
         if self.feedback is not None:
-            added, below = self.feedback.predict(observation, below, episode_start, deterministic)
+            added, below = decide(self.feedback, observation, below, episode_start, deterministic)
             action = action + added[..., 0]
         return np.clip(action, -1.0, 1.0)[..., None].astype(np.float32), (index + 1, below)
 

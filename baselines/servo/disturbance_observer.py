@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from baselines.servo.output_feedback import NominalTable
 from baselines.servo.signals import ACCELERATION, VELOCITY, Memory, SignalReader, recall
-from shake_env.controller import Controller
+from shake_env.controller import Controller, decide
 from shake_env.errors import ParameterError
 from shake_env.model.parameters import FloatArray, is_number, require_positive
 from shake_env.scenario.scenario import Scenario
@@ -132,7 +132,7 @@ class DisturbanceObserver:
         unexplained = past @ self._arrivals - needed
         first = first + self._follow * (unexplained - first)
         second = second + self._follow * (first - second)
-        asked, inner = self.controller.predict(observation, inner, episode_start, deterministic)
+        asked, inner = decide(self.controller, observation, inner, episode_start, deterministic)
         action = np.clip(asked[..., 0] + second / self._limit, -1.0, 1.0)
         past = np.concatenate([self._limit * action[..., None], past[..., :-1]], axis=-1)
         kept = np.concatenate([read, first[..., None], second[..., None], past], axis=-1)

@@ -15,11 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shake_env.controller import Controller
+from shake_env.controller import Controller, decide
 from shake_env.errors import ScenarioError
 from shake_env.model.parameters import FloatArray, Specimen
 from shake_env.model.plant import LOAD_PRESSURE, SPOOL_POSITION, TABLE_VELOCITY
 from shake_env.safety.braking import ACTUATOR, Foresight
+from shake_env.safety.interventions import Interventions
+from shake_env.safety.table_state_observer import Estimate, ObserverMemory, TableStateObserver
 from shake_env.scenario.observation import STATE_SIGNALS
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uniform
@@ -38,6 +40,8 @@ MASS_RATIO, STOREY_FREQUENCY = Uniform(0.1, 1.0), Uniform(5.0, 9.0)  # [-], [Hz]
 # then answers with 0.93 of what it does, at 5 % of damping.
 FREQUENCY_RATIO = 1.04
 TRUST = 0.7  # [-] share of an unexpected velocity that is taken for a force
+DEVIATIONS = 2.0  # [-] of an estimate's rms error that a margin holds
+MISFIT = 3.0  # [-] share of the recent prediction errors that a margin holds
 ROUNDING = 1e-6  # [-] of full current; a smaller change of a command is none
 
 
@@ -55,30 +59,6 @@ class Memory:
     braked: NDArray[np.int64]  # (N,) of them replaced by braking
     not_finite: NDArray[np.int64]  # (N,) of them that were no finite number
     largest: FloatArray  # (N,) largest change of a finite command [-] of full current
-
-
-@dataclass(frozen=True)
-class Interventions:
-    """How often a supervisor acted, over all episodes since its memory began."""
-
-    steps: NDArray[np.int64]  # (N,) commands
-    acted: NDArray[np.int64]  # (N,) of them changed, braking and not finite ones included
-    braked: NDArray[np.int64]  # (N,) of them replaced by the braking law's
-    not_finite: NDArray[np.int64]  # (N,) of them that were NaN or infinite
-    largest: FloatArray  # (N,) largest change of a finite command [-] of the current limit
-
-    @property
-    def share(self) -> float:
-        """Share of commands changed, over all tables."""
-        return float(self.acted.sum() / max(int(self.steps.sum()), 1))
-
-    def __str__(self) -> str:
-        return (
-            f"supervisor: changed {self.acted.sum()} of {self.steps.sum()} commands "
-            f"({100 * self.share:.2f} %) at {np.count_nonzero(self.acted)} of {len(self.steps)} tables; "
-            f"braked {self.braked.sum()}, not finite {self.not_finite.sum()}; "
-            f"largest change {self.largest.max(initial=0.0):.3f} of full current"
-        )
 
 
 class Supervised:
@@ -123,10 +103,14 @@ class Supervised:
         allowed = math.inf if limits.current is None else limits.current * (1.0 - 1e-6)
         self._most = min(1.0, allowed / scenario.current_limit)
         bounds["current"] = self._most * scenario.current_limit
-        self._places, self._scale, noise = _readings(scenario)
+        _require_readings(scenario)
         specimens = _family(scenario, mass_ratio, storey_frequency)
+        self._observer = TableStateObserver.of(scenario)
+        noise = self._observer.channels.noise[:ACTUATOR]
         self._foresight = Foresight.of(scenario, specimens, bounds, noise)
-        self._latest: Memory | None = None
+        # What an error of x_A does to every look ahead, (H, 4, R) [A per SI unit].
+        self._sensitivity = np.abs(self._foresight.rows[:, :ACTUATOR])
+        self._latest: tuple[Memory, ObserverMemory] | None = None
 
     def predict(
         self,
@@ -136,26 +120,43 @@ class Supervised:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[Any, ...]]:
         """Return the controller's action (..., 1), limited, and ``(its state, the supervisor's)``."""
-        inner, memory = (None, None) if state is None else state
-        action, inner = self.controller.predict(observation, inner, episode_start, deterministic)
-        readings = np.atleast_2d(observation)[:, self._places] * self._scale
-        wanted = np.asarray(action, dtype=np.float64).reshape(len(readings))
+        inner, memory, sensors = (None, None, None) if state is None else state
+        channels = self._observer.channels
+        # Read before the controller is asked: nothing that it does to an array counts.
+        readings = np.atleast_2d(observation)[:, channels.places] * channels.scale
         begins = np.zeros(len(readings), dtype=bool)
         if episode_start is not None:
             begins |= np.atleast_1d(episode_start)
-        memory = self._look(memory, readings, begins)
-        sent, memory = self._limit(memory, readings, wanted)
-        self._latest = memory
-        return sent.astype(np.float32).reshape(np.shape(action)), (inner, memory)
+        if sensors is None:
+            sensors = self._observer.begin(len(readings))
+        estimate, sensors = self._observer.look(self._observer.afresh(sensors, begins), readings)
+        shown = np.array(observation)
+        if (
+            estimate.faulty.any()
+        ):  # the controller is shown what is believed in place of a faulty reading
+            rows = shown.reshape(len(readings), -1)
+            believed = estimate.readings / channels.scale
+            rows[:, channels.places] = np.where(estimate.faulty, believed, rows[:, channels.places])
+        action, inner = decide(self.controller, shown, inner, episode_start, deterministic)
+        wanted = np.array(action, dtype=np.float64).reshape(len(readings))
+        memory = self._look(memory, estimate.table, begins)
+        sent, memory, under_way = self._limit(memory, estimate, sensors.misfit, wanted)
+        sensors = self._observer.predict(sensors, under_way, self._flow(estimate.table))
+        self._latest = (memory, sensors)
+        return sent.astype(np.float32).reshape(np.shape(action)), (inner, memory, sensors)
 
     def interventions(self, state: tuple[Any, ...] | None = None) -> Interventions:
         """Return how often the supervisor acted, up to `state` or else up to its last call."""
-        memory = self._latest if state is None else state[1]
-        if memory is None:
+        latest = self._latest if state is None else (state[1], state[2])
+        names = self._observer.channels.names
+        if latest is None:
             none = np.zeros(0, dtype=np.int64)
-            return Interventions(none, none, none, none, np.zeros(0))
+            faults = dict.fromkeys(names, none)
+            return Interventions(none, none, none, none, np.zeros(0), faults)
+        memory, sensors = latest
+        faults = dict(zip(names, sensors.faults.T, strict=True))
         return Interventions(
-            memory.steps, memory.acted, memory.braked, memory.not_finite, memory.largest
+            memory.steps, memory.acted, memory.braked, memory.not_finite, memory.largest, faults
         )
 
     def _look(self, memory: Memory | None, readings: FloatArray, begins: NDArray[np.bool_]) -> Memory:
@@ -189,18 +190,24 @@ class Supervised:
         )
 
     def _limit(
-        self, memory: Memory, readings: FloatArray, wanted: FloatArray
-    ) -> tuple[FloatArray, Memory]:
-        """Return the actions (N,) that are sent in place of those `wanted`, and the memory after."""
+        self, memory: Memory, estimate: Estimate, misfit: FloatArray, wanted: FloatArray
+    ) -> tuple[FloatArray, Memory, FloatArray]:
+        """Return the actions (N,) that are sent in place of those `wanted`, the memory, the queue."""
         seen, full = self._foresight, self.scenario.current_limit
-        z = self._state(memory, readings)
+        table = estimate.table
+        z = self._state(memory, table)
         across = z.astype(np.float32) @ seen.rows
-        upper = (seen.bound - across).min(axis=(0, 2)) / full
-        lower = -(seen.bound + across).min(axis=(0, 2)) / full
-        brake = -np.concatenate([readings, memory.commands], axis=-1) @ seen.feedback / full
+        margin = DEVIATIONS * estimate.deviation + MISFIT * misfit
+        reach = seen.bound
+        if margin.any():
+            reach = reach - margin.astype(np.float32) @ self._sensitivity
+        upper = (reach - across).min(axis=(0, 2)) / full
+        lower = -(reach + across).min(axis=(0, 2)) / full
+        brake = -np.concatenate([table, memory.commands], axis=-1) @ seen.feedback / full
         finite = np.isfinite(wanted)
         asked = np.where(finite, wanted, 0.0).clip(-1.0, 1.0)
-        braking = ~finite | ~(lower <= upper)
+        failed = estimate.faulty[:, :ACTUATOR].any(axis=1)
+        braking = ~finite | ~(lower <= upper) | failed
         # Where two limits contradict each other, what lies between their demands breaks each a little.
         low, high = np.minimum(lower, upper), np.maximum(lower, upper)
         sent = np.minimum(np.maximum(np.where(braking, brake, asked), low), high)
@@ -208,26 +215,35 @@ class Supervised:
         change = np.where(finite, np.abs(sent - asked), 0.0)
         current = full * sent
         expected = (z @ seen.velocity[:, :-1, None])[:, :, 0] + seen.velocity[:, -1:] * current
-        queue = np.concatenate([memory.commands, current[:, None]], axis=-1)[:, 1:]
+        queue = np.concatenate([memory.commands, current[:, None]], axis=-1)
         acted = ~finite | (change > ROUNDING)
-        return sent, replace(
-            memory,
-            commands=queue,
-            expected=expected,
-            steps=memory.steps + 1,
-            acted=memory.acted + acted,
-            braked=memory.braked + (braking & acted),
-            not_finite=memory.not_finite + ~finite,
-            largest=np.maximum(memory.largest, change),
+        return (
+            sent,
+            replace(
+                memory,
+                commands=queue[:, 1:],
+                expected=expected,
+                steps=memory.steps + 1,
+                acted=memory.acted + acted,
+                braked=memory.braked + (braking & acted),
+                not_finite=memory.not_finite + ~finite,
+                largest=np.maximum(memory.largest, change),
+            ),
+            queue,
         )
+
+    def _flow(self, table: FloatArray) -> FloatArray:
+        """Return the orifice's departure (N,) from the linear flow at x_A (N, 4) [m of spool]."""
+        valve = self.scenario.nonlinearity.valve
+        if not valve.flow_active:
+            return np.zeros(len(table))
+        spool = table[:, SPOOL_POSITION]
+        flow: FloatArray = valve.opening(spool, table[:, LOAD_PRESSURE]) - spool
+        return flow
 
     def _state(self, memory: Memory, readings: FloatArray) -> FloatArray:
         """Return z (H, N, columns) of `Foresight`."""
-        valve = self.scenario.nonlinearity.valve
-        flow = np.zeros(len(readings))
-        if valve.flow_active:
-            spool = readings[:, SPOOL_POSITION]
-            flow = valve.opening(spool, readings[:, LOAD_PRESSURE]) - spool
+        flow = self._flow(readings)
         shape = memory.force.shape
         return np.concatenate(
             [
@@ -241,26 +257,13 @@ class Supervised:
         )
 
 
-def _readings(scenario: Scenario) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
-    """Return place, size and rms error (4,) each of the readings of x_A in an observation."""
+def _require_readings(scenario: Scenario) -> None:
+    """Raise ScenarioError unless the scenario shows x_A."""
     layout = scenario.observation
-    names = sorted(STATE_SIGNALS, key=STATE_SIGNALS.__getitem__)
-    if layout.sensing.full_state:
-        actuator = scenario.plant.layout.actuator
-        return (
-            np.arange(actuator.start, actuator.stop),
-            scenario.plant.state_scale[actuator],
-            np.zeros(4),
-        )
-    missing = [name for name in names if name not in layout.reading_names]
-    if missing:
-        raise ScenarioError(
-            "sensing", layout.reading_names, f"the supervisor needs {', '.join(missing)} too"
-        )
-    at = np.asarray([layout.reading_names.index(name) for name in names])
-    squares = [layout.sensor_values(name)[at] ** 2 for name in ("noise", "bias")]
-    rounded = layout.sensor_values("resolution")[at] ** 2 / 12.0
-    return layout.readings.start + at, layout.reading_scale[at], np.sqrt(sum(squares, rounded))
+    missing = [name for name in STATE_SIGNALS if name not in layout.reading_names]
+    if missing and not layout.sensing.full_state:
+        needed = ", ".join(missing)
+        raise ScenarioError("sensing", layout.reading_names, f"the supervisor needs {needed} too")
 
 
 def _family(scenario: Scenario, mass_ratio: Uniform, frequency: Uniform) -> list[Specimen]:
