@@ -63,6 +63,10 @@ def _typed(hint: Any, value: Any, name: str) -> Any:
         if not isinstance(value, list | tuple):
             raise ValueError(f"{name} is {value!r}: must be a list")
         return tuple(_typed(arguments[0], each, name) for each in value)
+    if origin is dict:
+        if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
+            raise ValueError(f"{name} is {value!r}: must be a JSON object")
+        return value
     if is_dataclass(hint):
         return typed(hint, value, name)  # type: ignore[arg-type]
     if hint is float and isinstance(value, int) and not isinstance(value, bool):

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import resources
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -124,8 +125,9 @@ def _entry(plain: Any, number: int, source: str) -> TunedEntry:
     )
 
 
-def write_tuned(values: TunedValues, file: Path) -> None:
+def write_tuned(values: TunedValues, file: str | PathLike[str]) -> None:
     """Write a file of tuned values; a reader never sees half of it."""
+    file = Path(file)
     plain = {"format": FORMAT, "entries": [entry.to_json() for entry in values.entries]}
     file.parent.mkdir(parents=True, exist_ok=True)
     partial = file.with_suffix(".partial")

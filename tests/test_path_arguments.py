@@ -12,10 +12,7 @@ from shake_env.records import read_motion, write_record
 
 ROOT = Path(__file__).parents[1]
 # Inside a run directory or behind a command, which make the paths themselves.
-INNER = {
-    "campaign.py", "campaign_results.py", "campaign_worker.py", "checkpoint.py", "config.py",
-    "fine_tuning.py", "motion_command.py", "policy_file.py", "recipe_search.py", "train.py",
-}  # fmt: skip
+INNER = {"run_directory.py", "output_path.py", "motion.py"}
 
 
 def path_parameters(source):

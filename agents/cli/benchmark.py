@@ -8,12 +8,11 @@ from typing import Any
 
 from rich.console import Console
 
-from agents.cli.command_options import CommandOptions
+from agents.cli.command_options import CommandOptions, tuned_values
 from agents.cli.output_path import require_writable
 from agents.progress import progress_bar
 from agents.reporting.terminal import print_markdown
 from agents.run_directory import write_json
-from baselines.tuned_values import read_tuned
 from shake_env.errors import ParameterError, ScenarioError, unknown
 from shake_env.scenario.presets import NAMED
 
@@ -117,5 +116,5 @@ class Bench(CommandOptions):
             def on_progress(controller: str, share: float) -> None:
                 progress.update(task, completed=share, description=f"{name}, {controller}")
 
-            tuned = None if self.tuned is None else read_tuned(self.tuned)
+            tuned = tuned_values(self.tuned)
             return bench(name, self.earthquakes, self.controllers, tuned, on_progress=on_progress)

@@ -6,12 +6,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import tyro
 from rich.console import Console
 
 from agents.cli.output_path import output_folder
+
+if TYPE_CHECKING:
+    from baselines.tuned_values import TunedValues
 
 Flag = tyro.conf.FlagCreatePairsOff[bool]  # an option without a --no-option
 
@@ -43,6 +46,15 @@ class CommandOptions(ABC):
     def exit_code(self, result: dict[str, Any]) -> int:
         """Return the exit code of a command that ended with this result."""
         return 0
+
+
+def tuned_values(file: Path | None) -> TunedValues | None:
+    """Return the values of a file that ``--tuned`` names; None where none is named."""
+    if file is None:
+        return None
+    from baselines.tuned_values import read_tuned  # not needed for help
+
+    return read_tuned(file)
 
 
 @dataclass(frozen=True, kw_only=True)

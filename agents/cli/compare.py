@@ -12,12 +12,11 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
-from agents.cli.command_options import FolderOptions
+from agents.cli.command_options import FolderOptions, tuned_values
 from agents.cli.output_path import output_folder
 from agents.motions.channels import MotionOptions, motion_earthquakes
 from agents.progress import progress_bar
 from agents.scenario_options import ScenarioOptions
-from baselines.tuned_values import read_tuned
 from shake_env.errors import ParameterError
 
 
@@ -106,7 +105,7 @@ class Compare(FolderOptions):
                 seed=self.seed,
                 motions=motions,
                 supervised=self.supervised,
-                tuned=None if self.tuned is None else read_tuned(self.tuned),
+                tuned=tuned_values(self.tuned),
                 on_progress=on_progress,
                 **({} if gathered is None else {"on_histories": gathered}),
             )

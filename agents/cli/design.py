@@ -9,12 +9,9 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
-from agents.cli.command_options import CommandOptions
-from agents.evaluation.controller_set import describe_values
-from agents.evaluation.design import PROBLEM
+from agents.cli.command_options import CommandOptions, tuned_values
 from agents.reporting.terminal import print_table
 from agents.scenario_options import ScenarioOptions
-from baselines.tuned_values import read_tuned
 from shake_env.scenario.scenario import Scenario
 
 
@@ -43,7 +40,7 @@ class Design(CommandOptions):
         from agents.evaluation.design import design
 
         scenario = self.scenario.build()
-        tuned = None if self.tuned is None else read_tuned(self.tuned)
+        tuned = tuned_values(self.tuned)
         found = design(scenario, self.earthquakes, tuned, Console(stderr=True).print)
         print_design(found, scenario, console)
         return found
@@ -51,6 +48,9 @@ class Design(CommandOptions):
 
 def print_design(result: dict[str, Any], scenario: Scenario, console: Console) -> None:
     """Print a design for a person."""
+    from agents.evaluation.controller_set import describe_values
+    from agents.evaluation.design import PROBLEM
+
     frequencies = ", ".join(f"{f:.3f}" for f in result["natural_frequencies"])
     console.print(
         f"{scenario.name}: {scenario.specimen.stories} storeys, controlled at "

@@ -10,12 +10,11 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
-from agents.cli.command_options import CommandOptions
+from agents.cli.command_options import CommandOptions, tuned_values
 from agents.cli.output_path import output_file
 from agents.progress import progress_bar
 from agents.reporting.terminal import print_markdown
 from agents.scenario_options import ScenarioOptions, given_options
-from baselines.tuned_values import read_tuned
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +53,7 @@ class Evaluate(CommandOptions):
 
         require_names(self.entries)
         scenario = self.scenario.build()
-        tuned = None if self.tuned is None else read_tuned(self.tuned)
+        tuned = tuned_values(self.tuned)
         file = None
         if self.output is not None or not self.json:
             file = output_file(self.output, Path("out/evaluate") / f"{scenario.name}.json")

@@ -11,11 +11,10 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
-from agents.cli.command_options import FolderOptions
+from agents.cli.command_options import FolderOptions, tuned_values
 from agents.progress import progress_bar
 from agents.reporting.terminal import print_markdown
 from agents.scenario_options import ScenarioOptions, given_options
-from baselines.tuned_values import read_tuned
 from shake_env.errors import ParameterError
 
 # What docs/robustness.md shows.
@@ -134,7 +133,7 @@ def _measure(command: Robustness, options: ScenarioOptions) -> dict[str, Any]:
         result = robustness(
             scenario,
             command.controllers or (),
-            tuned=None if command.tuned is None else read_tuned(command.tuned),
+            tuned=tuned_values(command.tuned),
             grid=Grid.of(scenario, command.quantities, command.maps),
             earthquakes=command.earthquakes,
             seed=command.seed,
@@ -164,7 +163,7 @@ def _identity(command: Robustness, options: ScenarioOptions) -> dict[str, Any]:
     from agents.evaluation.robustness import Grid, controllers_of
 
     scenario = options.build()
-    tuned = None if command.tuned is None else read_tuned(command.tuned)
+    tuned = tuned_values(command.tuned)
     chosen, sources = controllers_of(command.controllers or (), scenario, tuned)
     grid = Grid.of(scenario, command.quantities, command.maps)
     given = given_options(options.__dict__)

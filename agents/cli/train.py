@@ -51,7 +51,8 @@ class Train(CommandOptions):
         if not self.resume or not (self.run_directory / CONFIG).exists():
             return
         stored = read_config(self.run_directory)
-        given = tyro.cli(Train, args=list(words), default=replace(self, config=stored)).config
+        usual = Train(run_directory=self.run_directory, config=stored)  # flags as tyro reads them
+        given = tyro.cli(Train, args=list(words), default=usual).config
         # What --set gives is put behind the run's own.
         changes = self.config.scenario.set or stored.scenario.set
         given = replace(given, scenario=replace(given.scenario, set=changes))

@@ -13,7 +13,6 @@ from agents.cli.command_options import CommandOptions
 from agents.cli.output_path import require_writable_file
 from agents.progress import progress_bar
 from agents.scenario_options import ScenarioOptions
-from baselines.catalogue import BASELINES
 from shake_env.errors import NumericalError, ParameterError, ScenarioError
 from shake_env.scenario.scenario import Scenario
 
@@ -46,7 +45,7 @@ class Tune(CommandOptions):
     """SQLite file with the trace of every search; a search in it is gone on with."""
     keep: Path | None = None
     """JSON file to put the result in; compare, bench, evaluate and robustness take it by --tuned. The
-    result belongs to this very scenario, told by a digest of all that it is but its name."""
+    result belongs to this very scenario, identified by a digest of it."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Search with a progress bar, and print what was found."""
@@ -59,6 +58,8 @@ class Tune(CommandOptions):
         kept_values(self.keep)  # says before the search if it is another kind of file
         if self.controller != ALL:
             return self._tune(self.controller, scenario, console)
+
+        from baselines.catalogue import BASELINES
 
         found = {}
         for name in BASELINES:

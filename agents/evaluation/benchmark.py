@@ -81,12 +81,13 @@ def ranked(found: Comparison) -> list[GroupSummary]:
     return sorted(found.summaries, key=lambda row: (ends.get(row.controller, 0), row.relative_cost))
 
 
-def result_file(folder: Path, scenario_name: str) -> Path:
+def result_file(folder: str | PathLike[str], scenario_name: str) -> Path:
     """Return the file of a scenario's result."""
+    folder = Path(folder)
     return folder / f"bench_{scenario_name}.json"
 
 
-def read_result(file: Path) -> dict[str, Any]:
+def read_result(file: str | PathLike[str]) -> dict[str, Any]:
     """Return the result that a file holds.
 
     Raises
@@ -94,6 +95,7 @@ def read_result(file: Path) -> dict[str, Any]:
     FileError
         If it is missing, not complete or no result of :func:`bench`.
     """
+    file = Path(file)
     result = read_json(file)
     lacks = [key for key in _KEYS if key not in result]
     rows = result.get("rows")

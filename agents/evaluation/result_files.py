@@ -28,7 +28,7 @@ def _dumps(result: dict[str, Any]) -> str:
     return f"{head},\n{tail}\n}}\n"
 
 
-def read_result(file: Path) -> dict[str, Any]:
+def read_result(file: str | PathLike[str]) -> dict[str, Any]:
     """Return the result that a file holds.
 
     Raises
@@ -36,6 +36,7 @@ def read_result(file: Path) -> dict[str, Any]:
     FileError
         If it is missing, not complete or no result of the protocol.
     """
+    file = Path(file)
     result = read_json(file)
     lacks = [key for key in _KEYS if key not in result]
     for row in result.get("rows", ()) if not lacks else ():

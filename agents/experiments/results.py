@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -26,16 +27,17 @@ CLAIRVOYANT_DESIGN = {
 }
 
 
-def policy_folders(arena: Arena, folder: Path) -> list[Path]:
+def policy_folders(arena: Arena, folder: str | PathLike[str]) -> list[Path]:
     """Return the folders of runs, one an algorithm, whose policies an arena takes."""
+    folder = Path(folder)
     own = folder / (arena.trained_on or arena.name)
     return sorted({file.parents[1] for file in own.glob(f"*/*/{POLICY}")})
 
 
 def evaluate_arena(
     arena: Arena,
-    folder: Path,
-    results: Path,
+    folder: str | PathLike[str],
+    results: str | PathLike[str],
     *,
     again: bool = False,
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
@@ -54,6 +56,7 @@ def evaluate_arena(
         If rows are to stay, but the table that does nothing fares otherwise than when those were made;
         or if a row of some policies would become one of fewer others.
     """
+    folder, results = Path(folder), Path(results)
     file = results / f"{PREFIX}{arena.name}.json"
     scenario = arena.options.build()
     rows = [contestant(str(runs), scenario) for runs in policy_folders(arena, folder)]

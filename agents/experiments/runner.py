@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
+from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
 
@@ -180,7 +181,7 @@ def _log(task: Task) -> Path:
 
 def plan(
     recipes: Sequence[Recipe],
-    folder: Path,
+    folder: str | PathLike[str],
     only: Sequence[str] = (),
     seeds: int | None = None,
 ) -> list[Task]:
@@ -202,6 +203,7 @@ def plan(
     ScenarioError
         If a pattern fits no recipe.
     """
+    folder = Path(folder)
     names = [recipe.name for recipe in recipes]
     for pattern in only:
         if not any(fnmatch(name, pattern) for name in names):

@@ -16,6 +16,7 @@ import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -116,7 +117,7 @@ def find_recipe(name: str) -> Recipe:
     return found[name]
 
 
-def open_study(search: Search, storage: Path) -> Any:
+def open_study(search: Search, storage: str | PathLike[str]) -> Any:
     """Return the Optuna study of a search, made if need be.
 
     Raises
@@ -126,6 +127,7 @@ def open_study(search: Search, storage: Path) -> Any:
     ShakeError
         If Optuna is not installed.
     """
+    storage = Path(storage)
     try:
         import optuna
     except ImportError:
@@ -174,8 +176,8 @@ def _queue(study: Any, search: Search) -> None:
 
 def search_recipe(
     search: Search,
-    storage: Path,
-    folder: Path,
+    storage: str | PathLike[str],
+    folder: str | PathLike[str],
     *,
     trials: int = 40,
     minutes: float | None = None,
@@ -205,6 +207,7 @@ def search_recipe(
     RunDirectoryError
         If another process runs this search, or a trial's directory holds another run.
     """
+    storage, folder = Path(storage), Path(folder)
     if trials < 0:
         raise ParameterError("trials", trials, "must be at least 0")
     if minutes is not None and not minutes > 0.0:

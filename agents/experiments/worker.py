@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 from dataclasses import asdict
+from os import PathLike
 from pathlib import Path
 
 from agents.progress import Progress
@@ -19,7 +20,7 @@ from shake_env.errors import ShakeError
 PATIENCE = 120.0  # [s] in which a worker whose campaign was killed comes to its next report and ends
 
 
-def work(run: Path, values: str, command: str) -> None:
+def work(run: str | PathLike[str], values: str, command: str) -> None:
     """Train or go on, and keep the run's progress file up to date.
 
     Raises
@@ -27,6 +28,7 @@ def work(run: Path, values: str, command: str) -> None:
     RunDirectoryError
         If the directory holds a run of another configuration, or another process goes on with it.
     """
+    run = Path(run)
     config, parent = config_of(parse_json(values)), os.getppid()
 
     def report(told: Progress) -> None:

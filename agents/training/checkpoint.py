@@ -10,6 +10,7 @@ import json
 import re
 from collections import deque
 from collections.abc import Mapping
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -56,19 +57,22 @@ _COUNTERS = (
 _REMEMBERED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
-def checkpoints(run: Path) -> list[Path]:
+def checkpoints(run: str | PathLike[str]) -> list[Path]:
     """Return a run's checkpoints, oldest first."""
+    run = Path(run)
     files = [f for f in (run / CHECKPOINTS).glob("step-*.safetensors") if _NAME.fullmatch(f.name)]
     return sorted(files, key=checkpoint_steps)
 
 
-def checkpoint_steps(checkpoint: Path) -> int:
+def checkpoint_steps(checkpoint: str | PathLike[str]) -> int:
     """Return the control periods after which a checkpoint was written."""
+    checkpoint = Path(checkpoint)
     return int(checkpoint.stem.removeprefix("step-"))
 
 
-def delete_checkpoints(run: Path, but: int = 0) -> None:
+def delete_checkpoints(run: str | PathLike[str], but: int = 0) -> None:
     """Delete a run's checkpoints but for the newest ones; nothing else in their folder."""
+    run = Path(run)
     files = checkpoints(run)
     for file in files[: len(files) - but]:
         file.unlink(missing_ok=True)
@@ -77,7 +81,7 @@ def delete_checkpoints(run: Path, but: int = 0) -> None:
         folder.rmdir()
 
 
-def save_checkpoint(run: Path, model: Model, env: ShakeTableVecEnv) -> Path:
+def save_checkpoint(run: str | PathLike[str], model: Model, env: ShakeTableVecEnv) -> Path:
     """Write a checkpoint of a model between two roll-outs, and delete all but the newest ones.
 
     Raises
@@ -85,6 +89,7 @@ def save_checkpoint(run: Path, model: Model, env: ShakeTableVecEnv) -> Path:
     FileError
         If the disk is full, or the folder cannot be written.
     """
+    run = Path(run)
     final = run / CHECKPOINTS / f"step-{model.num_timesteps:012d}.safetensors"
     if not final.exists():
         values, arrays = split(_state(model, env))
@@ -96,7 +101,7 @@ def save_checkpoint(run: Path, model: Model, env: ShakeTableVecEnv) -> Path:
     return final
 
 
-def load_checkpoint(run: Path, config: TrainConfig, env: ShakeTableVecEnv) -> Model:
+def load_checkpoint(run: str | PathLike[str], config: TrainConfig, env: ShakeTableVecEnv) -> Model:
     """Return the model of the newest readable checkpoint; `env` and all generators go on from it.
 
     Raises
@@ -104,6 +109,7 @@ def load_checkpoint(run: Path, config: TrainConfig, env: ShakeTableVecEnv) -> Mo
     RunDirectoryError
         If there is no readable checkpoint, or only those of an earlier version, which hold pickles.
     """
+    run = Path(run)
     found, failures = checkpoints(run), []
     if not found:
         require_no_pickles(run)
@@ -127,11 +133,12 @@ def load_checkpoint(run: Path, config: TrainConfig, env: ShakeTableVecEnv) -> Mo
     )
 
 
-def require_no_pickles(run: Path) -> None:
+def require_no_pickles(run: str | PathLike[str]) -> None:
     """Raise RunDirectoryError if the only checkpoints are those of an earlier version.
 
     Those are pickles, and a pickle runs whatever code its author put in it.
     """
+    run = Path(run)
     folder = run / CHECKPOINTS
     earlier = [p.name for p in folder.glob("step-*") if p.is_dir() and _EARLIER.fullmatch(p.name)]
     if earlier and not checkpoints(run):

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
 
@@ -183,7 +184,7 @@ def config_of(values: object) -> TrainConfig:
 _ALWAYS = ("algorithm", "scenario", "ppo", "sac", "seed", "total_steps", "episode", "hidden")
 
 
-def read_config(run: Path) -> TrainConfig:
+def read_config(run: str | PathLike[str]) -> TrainConfig:
     """Return the configuration that a run directory holds.
 
     Raises
@@ -191,6 +192,7 @@ def read_config(run: Path) -> TrainConfig:
     RunDirectoryError
         If there is none, or it cannot be read, with the option at fault.
     """
+    run = Path(run)
     values = read_json(run / CONFIG, RunDirectoryError, "configuration", largest=2**20)
     try:
         return config_of(values)
@@ -199,7 +201,7 @@ def read_config(run: Path) -> TrainConfig:
         raise RunDirectoryError("configuration", str(run / CONFIG), reason) from error
 
 
-def require_same(given: TrainConfig, run: Path, remedy: str) -> TrainConfig:
+def require_same(given: TrainConfig, run: str | PathLike[str], remedy: str) -> TrainConfig:
     """Return the configuration of a run.
 
     Raises
@@ -207,6 +209,7 @@ def require_same(given: TrainConfig, run: Path, remedy: str) -> TrainConfig:
     RunDirectoryError
         If an option differs from the one given, with both values of each that does.
     """
+    run = Path(run)
     stored = read_config(run)
     if changed := differences(given, stored):
         pairs = [f"{path} is {there!r}, given {here!r}" for path, (here, there) in changed.items()]

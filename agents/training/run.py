@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -78,7 +79,7 @@ class TrainResult:
 
 def train(
     config: TrainConfig,
-    run: Path,
+    run: str | PathLike[str],
     *,
     report: Callable[[Progress], None] = lambda progress: None,
     command: str | None = None,
@@ -103,6 +104,7 @@ def train(
     PolicyFileError
         If the policy to begin with cannot be read, or is of another kind than what is trained.
     """
+    run = Path(run)
     require_beginnable(config, run)
     model, env, first = _new(config, first_file(config))
     create(run, lambda folder: _describe(folder, config, first))
@@ -113,7 +115,7 @@ def train(
 
 
 def resume(
-    run: Path,
+    run: str | PathLike[str],
     *,
     report: Callable[[Progress], None] = lambda progress: None,
     command: str | None = None,
@@ -125,6 +127,7 @@ def resume(
     RunDirectoryError
         If the directory holds no run, none of its checkpoints can be read, or another process runs it.
     """
+    run = Path(run)
     config = read_config(run)
     with locked(run), file_errors(run):
         return _go_on(config, run, report, command)
@@ -132,7 +135,7 @@ def resume(
 
 def go_on(
     config: TrainConfig,
-    run: Path,
+    run: str | PathLike[str],
     *,
     report: Callable[[Progress], None] = lambda progress: None,
     command: str | None = None,
@@ -147,6 +150,7 @@ def go_on(
     RunDirectoryError
         If the directory holds another run, or something else.
     """
+    run = Path(run)
     if not (run / CONFIG).exists():
         train(config, run, report=report, command=command)
         return
@@ -156,12 +160,13 @@ def go_on(
             _go_on(config, run, report, command)
 
 
-def require_beginnable(config: TrainConfig, run: Path) -> None:
+def require_beginnable(config: TrainConfig, run: str | PathLike[str]) -> None:
     """Raise RunDirectoryError unless a run can begin in a directory.
 
     It can where there is none, where it is empty, and where an attempt at the same run was interrupted
     before its first checkpoint.
     """
+    run = Path(run)
     present = contents(run)
     if run.exists() and not run.is_dir():
         raise RunDirectoryError("run directory", str(run), "is a file: name another")
@@ -179,7 +184,7 @@ def require_beginnable(config: TrainConfig, run: Path) -> None:
     require_same(config, run, "name another, or move it away")
 
 
-def read_result(run: Path) -> TrainResult:
+def read_result(run: str | PathLike[str]) -> TrainResult:
     """Return what a finished run came to.
 
     Raises
@@ -187,6 +192,7 @@ def read_result(run: Path) -> TrainResult:
     RunDirectoryError
         If there is no result, or it is not complete.
     """
+    run = Path(run)
     file = run / RESULT
     try:
         return typed(TrainResult, read_json(file, RunDirectoryError, "result", largest=2**20))
@@ -196,8 +202,9 @@ def read_result(run: Path) -> TrainResult:
         raise RunDirectoryError("result", str(file), f"is no result of a run ({error})") from error
 
 
-def finished(run: Path) -> bool:
+def finished(run: str | PathLike[str]) -> bool:
     """Return whether a run has a complete result and the policy that it is of."""
+    run = Path(run)
     try:
         read_result(run)
     except RunDirectoryError:

@@ -93,7 +93,7 @@ RANGES: dict[str, dict[str, Range]] = {
     },
     "Specimen.uniform": {
         "stories": Range(1, 200, whole=True),
-        "mass_ratio": Range(1e-6, 1e3),
+        "mass_ratio": Range(1e-12, 1e3),
         "storey_frequency": Range(1e-2, 1e3, "Hz"),
         "damping_ratio": Range(1e-6, 1e2, zero=True),
         "table_mass": Range(1e-2, 1e8, "kg"),

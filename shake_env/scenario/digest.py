@@ -1,4 +1,4 @@
-"""A digest of everything that a scenario is but its name: of one digest, they are the same task."""
+"""A digest of what a scenario is: scenarios of one digest are the same task for a controller."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ def scenario_digest(scenario: Scenario) -> str:
     """Return the digest of a scenario, ``VERSION:HEX``.
 
     Plant (actuator, specimen, ground filter, equations, nonlinear parts, delay, uncertainty), sensing,
-    limits, motion, objective, rates and the action's unit are in it; the name is not. The canonical form
+    limits, motion, objective, rates and the action's unit are in it. The name and the length of filtered
+    noise are not: a longer test of the same kind asks for the same controller. The canonical form
     is JSON with sorted keys and without what is None, False or empty. Numbers are written with nine
     significant digits, so that the last bits of a derived value (a platform's own ``pow``) do not count,
     and a record counts by its samples. It depends on neither Python's version nor the platform.
@@ -60,6 +61,8 @@ def _canonical(value: Any, path: str) -> Any:
         record = value.source
         samples = [_canonical(record.sampling_interval, path), record.digest.hex()]
         return _parts(value, path, "record") | {"record": samples}
+    if isinstance(value, FilteredNoise):
+        return _parts(value, path, "duration")
     if is_dataclass(value):
         return _parts(value, path)
     if isinstance(value, tuple | list | np.ndarray):

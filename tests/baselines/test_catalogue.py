@@ -149,7 +149,7 @@ def test_controllers_come_without_the_extras(monkeypatch):
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
     monkeypatch.setitem(sys.modules, "osqp", None)
-    with pytest.raises(ShakeError, match=r"shake-env\[classical\]"):
+    with pytest.raises(ShakeError, match=r"pip install '\.\[classical\]'"):
         make_baseline("mpc", SHORT["yielding"], {})
 
 

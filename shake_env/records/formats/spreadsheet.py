@@ -11,7 +11,7 @@ import warnings
 import zipfile
 from typing import Any
 
-from shake_env.errors import RecordError
+from shake_env.errors import RecordError, install_hint
 from shake_env.records.record import Record
 from shake_env.records.text.columns import parse_columns
 from shake_env.records.text.header import labelled, naming
@@ -56,7 +56,7 @@ def parse_spreadsheet(
         openpyxl = importlib.import_module("openpyxl")
     except ImportError:
         raise RecordError(
-            name, "a workbook", "reading it needs openpyxl: pip install 'shake-env[xlsx]'"
+            name, "a workbook", f"reading it needs openpyxl: {install_hint('xlsx')}"
         ) from None
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:

@@ -88,7 +88,7 @@ def test_the_scenario_options_stand_behind_one_heading(capsys):
     listed = set(re.findall(r"^\W*(--[a-z][\w-]+)", whole, re.MULTILINE)) - {"--scenario"}
     assert number == len(listed)
     assert parse(["compare", "--stories", "5"]).scenario.stories == 5
-    assert main(["motion", "--help-scenario"]) == 2
+    assert main(["list", "--help-scenario"]) == 2
 
 
 def test_version(capsys):

@@ -163,7 +163,8 @@ def test_a_reader_that_goes_ends_the_command_quietly(tmp_path):
     with subprocess.Popen(command, stdout=pipe, stderr=pipe, cwd=tmp_path) as process:
         process.stdout.close()  # before anything is written
         err, code = process.stderr.read(), process.wait()
-    assert err == b"" and code in (1, 141)  # rich ends a program with 1 by itself
+    # A slow machine is told that the command works; rich ends a program with 1 by itself.
+    assert err in (b"", b"shake motion: working\n") and code in (1, 141)
 
 
 @pytest.mark.parametrize(

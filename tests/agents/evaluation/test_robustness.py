@@ -353,15 +353,19 @@ def test_a_report_shows_it(small, tmp_path, capsys):
     folder, result = small
     words = ["compare", "--controllers", "none", "--noise", "2", "--no-records", "--duration", "5"]
     file = str(folder / "robustness_linear.json")
-    assert main([*words, "--report", str(tmp_path), "--json", "--robustness", file]) == 0
-    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert main([*words, "--report", str(tmp_path / "page"), "--json", "--robustness", file]) == 0
+    page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
     assert page.count('<img src="data:image/png;base64,') == 2
     assert "Where they were not made for it" in page
     assert findings(result, "analytic")[0].replace("'", "&#x27;") in page
     capsys.readouterr()
+    other = ["--robustness", file, "--scenario", "laboratory"]
     for more, message in (
         (["--robustness", file], "give --report"),
-        (["--robustness", file, "--report", str(tmp_path), "--scenario", "laboratory"], "is of linear"),
+        (
+            ["--robustness", file, "--report", str(tmp_path / "two"), "--scenario", "laboratory"],
+            "is of linear",
+        ),
     ):
         assert main([*words, *more]) == 2
         assert message in capsys.readouterr().err

@@ -93,7 +93,7 @@ def test_compare_and_evaluate_warn():
     assert "far outside" in result["warnings"][0]
 
 
-@pytest.mark.parametrize("card", [{}, {"config": 3}, {"config": {"scenario": {"set": [1]}}}])
+@pytest.mark.parametrize("card", [{}, {"config": {"scenario": {"set": [1]}}}])
 def test_a_card_that_tells_nothing_gives_no_warning(card):
     policy = replace(load_policy(shipped_policy("policy")), card=card)
     assert training_warning(policy, make_scenario("linear", {"mass_ratio": 2.0})) == ""

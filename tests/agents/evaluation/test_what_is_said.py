@@ -71,7 +71,7 @@ def test_bench_runs_as_many_earthquakes_as_asked_or_says_so(bench, capsys, tmp_p
     file = tmp_path / "bench_linear.json"
     file.write_text(file.read_text()[:100])
     assert bench("--earthquakes", "3") == 2
-    assert "is no result of shake bench" in capsys.readouterr().err
+    assert "is no complete JSON" in capsys.readouterr().err
 
 
 def test_bench_names_other_controllers_and_unknown_scenarios(bench, capsys):
@@ -100,8 +100,9 @@ def test_committed_results_are_still_tables():
     assert len(results) == 5
     for result in results:
         assert "| controller |" in markdown(result)
-        assert difference(result, 200, CONTROLLERS, None) == ""
-    assert "200 earthquakes, not 20" in difference(results[0], 20, CONTROLLERS, None)
+        assert difference(result, result["scenario"], 200, CONTROLLERS, None) == ""
+    assert "is of linear" in difference(results[0], "yielding", 200, CONTROLLERS, None)
+    assert "200 earthquakes, not 20" in difference(results[0], "linear", 20, CONTROLLERS, None)
 
 
 def test_the_table_says_where_values_come_from(capsys):
