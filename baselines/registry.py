@@ -15,9 +15,8 @@ from baselines.catalogue import BASELINES, Baseline
 from baselines.tuned_values import TunedEntry, TunedValues, packaged_values
 from shake_env.controller import Controller
 from shake_env.errors import ScenarioError, unknown
-from shake_env.motion.targets import MotionSet
 from shake_env.rollout import Earthquake
-from shake_env.scenario.digest import named_digest, scenario_digest
+from shake_env.scenario.digest import known_name, named_digest, scenario_digest
 from shake_env.scenario.scenario import Scenario
 
 
@@ -62,10 +61,11 @@ def parameter_values(name: str, scenario: Scenario, tuned: TunedValues | None = 
         return _of_file(entry, tuned, "this scenario")
     if entry := packaged_values().exact(name, digest):
         return _of_package(entry, "tuned on this scenario")
-    # Nothing is tuned on the records that controllers are judged by: the same table's values serve.
-    records = isinstance(scenario.motion, MotionSet) and digest == named_digest("records")
-    if records and (entry := packaged_values().exact(name, named_digest("laboratory"))):
-        return _of_package(entry, "tuned on laboratory, the same table")
+    # Nothing is tuned on what controllers are judged by: the values of the scenario to train on serve.
+    if scenario.train_on and digest == named_digest(known_name(scenario)):
+        entry = packaged_values().exact(name, named_digest(scenario.train_on))
+        if entry is not None:
+            return _of_package(entry, f"tuned on {scenario.train_on}, the same table")
     if tuned is not None and (entry := tuned.only(name)):
         return _of_file(entry, tuned, f"{entry.scenario}, not this scenario")
     return WRITTEN_RULE

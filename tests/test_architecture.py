@@ -22,7 +22,7 @@ ROOMS = """
     agents/policies
     agents/scenario_options agents/figure_style agents/provenance agents/progress
     agents/run_directory
-    agents/plain_values
+    agents/plain_values agents/seeds
     baselines/searched_lqg
     baselines/registry
     baselines/catalogue

@@ -17,6 +17,7 @@ from agents.cli.output_path import output_folder
 from agents.motions.channels import MotionOptions, motion_earthquakes
 from agents.progress import progress_bar
 from agents.scenario_options import ScenarioOptions
+from agents.seeds import COMPARISON_SEED
 from shake_env.errors import ParameterError
 
 
@@ -45,7 +46,7 @@ class Compare(FolderOptions):
     """Number of filtered-noise earthquakes."""
     records: bool = True
     """Whether the six embedded records are among the earthquakes."""
-    seed: int = 2_000_000
+    seed: int = COMPARISON_SEED
     """First seed of the filtered noise."""
     motion: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
     """File of recorded motion, each channel an earthquake; may be given again for further files."""

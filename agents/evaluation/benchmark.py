@@ -15,13 +15,13 @@ from agents.evaluation.comparison import compare
 from agents.evaluation.controller_set import ALL, CLAIRVOYANT, values_to_json
 from agents.evaluation.results import Comparison, GroupSummary, plain_row
 from agents.run_directory import described, read_json
+from agents.seeds import TEST_SEED
 from baselines.registry import reference_name
 from baselines.tuned_values import TunedValues
 from shake_env import make_scenario
 from shake_env.errors import FileError, ParameterError
 from shake_env.model.parameters import is_number
 
-TEST_SEED = 4_000_000  # neither training's, evaluation's, validation's nor `shake compare`'s
 SCENARIOS = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
 CONTROLLERS = (CLAIRVOYANT, ALL)
 
@@ -51,7 +51,7 @@ def bench(
     if earthquakes < 2:
         raise ParameterError("earthquakes", earthquakes, "an interval needs at least 2")
     scenario = make_scenario(scenario_name)
-    recorded = scenario_name == "records"
+    recorded = scenario.reserved_for_testing
     found = compare(
         scenario,
         names,

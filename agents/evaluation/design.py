@@ -9,6 +9,7 @@ import numpy as np
 
 from agents.evaluation.controller_set import values_to_json
 from agents.evaluation.protocol import optimal_cost
+from agents.seeds import COMPARISON_SEED
 from baselines.lqr.preview import preview_lqr
 from baselines.lqr.sampled import sampled_lqr
 from baselines.registry import make_baseline, parameter_values, reference_name
@@ -18,7 +19,6 @@ from shake_env.motion.targets import MotionSet, RecordedMotion
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
 from shake_env.scenario.scenario import Scenario
 
-SEED = 2_000_000  # that of `shake compare`
 PROBLEM = "linear table, full state without delay, stationary unit motion"
 
 
@@ -116,4 +116,4 @@ def _own_earthquakes(scenario: Scenario, number: int) -> list[Earthquake]:
     if isinstance(motion, RecordedMotion):
         return [Earthquake(motion.source.name, motion)]
     recorded = recorded_earthquakes(scenario) if isinstance(motion, MotionSet) else []
-    return recorded or noise_earthquakes(scenario, number, SEED)
+    return recorded or noise_earthquakes(scenario, number, COMPARISON_SEED)

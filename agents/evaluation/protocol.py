@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 import shake_env
-from agents.evaluation.benchmark import TEST_SEED
 from agents.evaluation.controller_set import CLAIRVOYANT, values_to_json
 from agents.evaluation.fidelity import fidelity
 from agents.evaluation.latency import decision_time
@@ -31,6 +30,7 @@ from agents.policies.registry import (
 )
 from agents.provenance import code_version
 from agents.run_directory import BEST, POLICY, policy_of_run
+from agents.seeds import TEST_SEED
 from baselines.catalogue import BASELINES
 from baselines.lqr.oracle import clairvoyant
 from baselines.lqr.preview import preview_lqr
@@ -213,7 +213,7 @@ def evaluate(
     if earthquakes < 2:
         raise ParameterError("earthquakes", earthquakes, "an interval needs at least 2")
     code = code_version()  # that runs, not that ends
-    recorded = known_name(scenario) == "records"
+    recorded = scenario.reserved_for_testing
     quakes = (
         recorded_earthquakes(scenario)
         if recorded

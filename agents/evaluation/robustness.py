@@ -26,6 +26,7 @@ from agents.evaluation.perturbations import QUANTITIES, Change, altered, nominal
 from agents.policies.policy_file import PolicyFile, digest
 from agents.policies.registry import SHIPPED, file_of, shipped_policy
 from agents.provenance import code_version
+from agents.seeds import ROBUSTNESS_SEED
 from baselines.tuned_values import TunedValues
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError, ScenarioError, unknown
@@ -35,7 +36,6 @@ from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.metrics import EpisodeMetrics
 
 FORMAT = "shake-robustness-1"
-SEED = 5_000_000  # far from those of training, comparison, tuning and the protocol's test
 # Pairs that aggravate each other: both make the specimen another one; both take the loop's phase; and
 # noise matters where the motion is weak.
 PAIRS = (("mass_ratio", "storey_frequency"), ("coulomb_friction", "delay"), ("amplitude", "noise"))
@@ -113,7 +113,7 @@ def point(scenario: Scenario, values: Mapping[str, float]) -> Change:
 def default_controllers(scenario: Scenario) -> tuple[str, ...]:
     """Return the policies that ship for a scenario, and the classical ones beside."""
     known = known_name(scenario)
-    trained = "laboratory" if known == "records" else known
+    trained = scenario.train_on or known
     own = (name for name in SHIPPED if shipped_policy(name, known).stem.startswith(f"{trained}-"))
     return (*own, *RIVALS.get(known, ()))
 
@@ -149,7 +149,7 @@ def test_earthquakes(scenario: Scenario, number: int, seed: int) -> list[Earthqu
     """Return the recorded motions of a scenario of records, and filtered noise of any other."""
     if number < 1:
         raise ParameterError("earthquakes", number, "ask for at least 1")
-    if known_name(scenario) == "records":
+    if scenario.reserved_for_testing:
         return recorded_earthquakes(scenario)
     return noise_earthquakes(scenario, number, seed)
 
@@ -160,7 +160,7 @@ def robustness(
     *,
     grid: Grid | None = None,
     earthquakes: int = 8,
-    seed: int = SEED,
+    seed: int = ROBUSTNESS_SEED,
     tuned: TunedValues | None = None,
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
 ) -> dict[str, Any]:
@@ -213,7 +213,7 @@ def robustness(
         "version": shake_env.__version__,
         "code": code,
         "machine": f"{platform.machine()}, {os.cpu_count()} cores",
-        "seed": None if known_name(scenario) == "records" else seed,
+        "seed": None if scenario.reserved_for_testing else seed,
         "earthquakes": [quake.name for quake in quakes],
         "reference": reference,
         "skipped": chosen.skipped,

@@ -19,6 +19,7 @@ import numpy as np
 import shake_env
 from agents.policies.own_controller import is_own_controller, own_baseline, own_source
 from agents.run_directory import file_errors
+from agents.seeds import VALIDATION_SEED
 from baselines.catalogue import BASELINES, Baseline, Tunable
 from baselines.registry import parameter_values
 from baselines.searched_lqg import FREE, as_free, free_baseline
@@ -36,7 +37,6 @@ from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario.digest import scenario_digest
 from shake_env.scenario.scenario import Scenario
 
-VALIDATION_SEED = 3_000_000  # neither training's, nor its evaluation's, nor the tests'
 FAILED = 1e6  # cost of a trial whose design fails
 
 

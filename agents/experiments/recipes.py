@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from agents.scenario_options import ScenarioOptions
+from agents.seeds import MOST_RUNS
 from agents.training.algorithm_options import (
     AnalyticOptions,
     PPOOptions,
@@ -18,7 +19,7 @@ from agents.training.algorithm_options import (
     TD3Options,
     TQCOptions,
 )
-from agents.training.config import MOST_SEEDS, TrainConfig
+from agents.training.config import TrainConfig
 from shake_env.errors import ParameterError
 
 
@@ -58,8 +59,8 @@ class Recipe:
         ParameterError
             If the seed's earthquakes would reach those that policies are evaluated on.
         """
-        if not 0 <= seed < MOST_SEEDS:
-            raise ParameterError("seed", seed, f"a campaign has seeds 0 to {MOST_SEEDS - 1}")
+        if not 0 <= seed < MOST_RUNS:
+            raise ParameterError("seed", seed, f"a campaign has seeds 0 to {MOST_RUNS - 1}")
         return replace(self.config, seed=seed)
 
 

@@ -10,11 +10,11 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from agents.evaluation.benchmark import TEST_SEED
 from agents.evaluation.protocol import Contestant, contestant, evaluate
 from agents.evaluation.result_files import PREFIX, read_result, write_result
 from agents.experiments.recipes import Arena
 from agents.run_directory import POLICY
+from agents.seeds import TEST_SEED
 from baselines.lqr import oracle as clairvoyant
 from baselines.registry import tuned_parameters
 from shake_env.errors import ParameterError

@@ -22,7 +22,7 @@ from typing import Any
 
 import shake_env
 from agents.experiments import recipes
-from agents.experiments.controller_tuning import FAILED, VALIDATION_SEED
+from agents.experiments.controller_tuning import FAILED
 from agents.experiments.recipes import Recipe
 from agents.experiments.search_objective import Judge, OutOfTimeError, PrunedError, Validation
 from agents.experiments.search_space import TRAIN_SEED, own_values, space, space_json, trial_config
@@ -31,6 +31,7 @@ from agents.policies.policy_file import load_policy
 from agents.progress import Progress
 from agents.provenance import code_version
 from agents.run_directory import POLICY, file_errors, locked
+from agents.seeds import VALIDATION_SEED
 from agents.training.checkpoint import delete_checkpoints
 from agents.training.config import config_of
 from agents.training.run import go_on

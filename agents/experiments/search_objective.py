@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from agents.evaluation.bootstrap import cost_ratio
-from agents.experiments.controller_tuning import FAILED, VALIDATION_SEED
+from agents.experiments.controller_tuning import FAILED
 from agents.experiments.recipes import ARENAS, Recipe
 from agents.progress import Progress
 from agents.run_directory import evaluations
+from agents.seeds import VALIDATION_SEED
 from agents.training.config import TrainConfig
 from baselines.registry import make_baseline, reference_name
 from shake_env.controller import Controller

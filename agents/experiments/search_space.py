@@ -16,12 +16,13 @@ from typing import Any, get_args
 from agents.evaluation.protocol import optimal_cost
 from agents.experiments.recipes import Recipe
 from agents.policies.base_law import BaseLaw, base_law
-from agents.training.config import MOST_SEEDS, TrainConfig
+from agents.seeds import MOST_RUNS
+from agents.training.config import TrainConfig
 from shake_env.errors import ParameterError, ShakeError
 
 Value = float | int | str
 
-TRAIN_SEED = MOST_SEEDS - 1  # the last of a campaign's: most recipes never report a run with it
+TRAIN_SEED = MOST_RUNS - 1  # the last of a campaign's: most recipes never report a run with it
 FEWEST_EVALUATIONS = 5  # of a trial: what a pruner and the choice of the best policy go by
 
 

@@ -52,15 +52,14 @@ def make_training_scenario(
     Raises
     ------
     ScenarioError
-        If the scenario is unknown, or is ``records``, which is reserved for testing.
+        If the scenario is unknown, or reserved for testing, as ``records`` is.
     ParameterError
         If a number is outside its range.
     """
     made = make_scenario(scenario_of(scenario), overrides)
-    if made.name == "records":
-        raise ScenarioError(
-            "scenario", "records", "is reserved for testing: train on laboratory, the same table"
-        )
+    if made.reserved_for_testing:
+        remedy = f"is reserved for testing: train on {made.train_on}, which has the same table"
+        raise ScenarioError("scenario", made.name, remedy)
     if made.limits == Limits():
         limits = Limits(state_limit=state_limit, cost_horizon=horizon)
         made = replace(made, limits=limits)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from shake_env.controller import Controller
 from shake_env.errors import ScenarioError, unknown
 from shake_env.rollout import Earthquake
 from shake_env.scenario.digest import known_name
+from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import Scenario
 
 
@@ -105,6 +107,12 @@ SHIPPED: dict[str, tuple[str, ...]] = {
 }
 
 
+@lru_cache
+def _trained_on(scenario_name: str) -> str:
+    """Return the scenario that policies for a scenario are trained on."""
+    return (NAMED[scenario_name]().train_on if scenario_name in NAMED else None) or scenario_name
+
+
 def shipped_policy(name: str = "policy", scenario_name: str = "linear") -> Path:
     """Return the file of a policy that comes with the package.
 
@@ -117,6 +125,6 @@ def shipped_policy(name: str = "policy", scenario_name: str = "linear") -> Path:
         them; a scenario without a policy of its own gets the linear table's, if it fits.
     """
     folder = Path(str(resources.files("agents").joinpath("pretrained")))
-    trained = "laboratory" if scenario_name == "records" else scenario_name
+    trained = _trained_on(scenario_name)
     files = [folder / f"{of}-{by}.safetensors" for of in (trained, "linear") for by in SHIPPED[name]]
     return next(file for file in files if file.is_file())

@@ -13,6 +13,7 @@ from typing import Any, Literal
 from agents.plain_values import differences, typed
 from agents.run_directory import CONFIG, described, read_json
 from agents.scenario_options import ScenarioOptions
+from agents.seeds import MOST_RUNS
 from agents.training.algorithm_options import (
     AnalyticOptions,
     PPOOptions,
@@ -25,9 +26,6 @@ from shake_env.errors import ParameterError, RunDirectoryError
 from shake_env.model.parameters import require_non_negative, require_positive
 
 Options = PPOOptions | SACOptions | TD3Options | TQCOptions | RecurrentPPOOptions | AnalyticOptions
-
-
-MOST_SEEDS = 10  # a run's seed is in units of 100 000; evaluation begins at 1 000 000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,11 +107,11 @@ class TrainConfig:
         for options in every:
             require_positive(options, *(name for name in vars(options) if name not in not_positive))
         require_non_negative(self, "seed", "artificial")
-        if self.artificial and self.seed >= MOST_SEEDS:
+        if self.artificial and self.seed >= MOST_RUNS:
             raise ParameterError(
                 "seed",
                 self.seed,
-                f"artificial earthquakes from seed {MOST_SEEDS} on are those that runs are judged by",
+                f"artificial earthquakes from seed {MOST_RUNS} on are those that runs are judged by",
             )
         require_non_negative(self.analytic, "memory", "checkpoint")
         require_non_negative(self.tqc, "dropped")

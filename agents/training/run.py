@@ -45,6 +45,7 @@ from agents.run_directory import (
     replacing,
     write_json,
 )
+from agents.seeds import EVALUATION_SEED, RUN_SEEDS
 from agents.training.artificial_motions import artificial_motions
 from agents.training.checkpoint import checkpoints, load_checkpoint, require_no_pickles, save_checkpoint
 from agents.training.config import TrainConfig, read_config, require_same
@@ -58,9 +59,6 @@ from shake_env.errors import RunDirectoryError
 from shake_env.motion.targets import FilteredNoise, MotionSet
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario.scenario import Scenario
-
-RUN_SEEDS = 100_000  # that a run may use, from its own seed times that
-EVALUATION_SEED = 1_000_000  # training seeds lie far below, so that no evaluation motion is trained on
 
 
 @dataclass(frozen=True)

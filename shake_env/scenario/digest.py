@@ -16,6 +16,7 @@ from shake_env.motion.targets import FilteredNoise, MotionSet, RecordedMotion
 from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import Scenario
 
+LEFT_OUT = ("name", "train_on")  # fields of a scenario that do not change the task
 VERSION = 1  # of the canonical form
 # Fields that joined a part of a scenario after version 1: their path from the scenario, and the value at
 # which nothing is other than it was before. At that value they are left out of the canonical form.
@@ -34,7 +35,7 @@ def scenario_digest(scenario: Scenario) -> str:
     significant digits, so that the last bits of a derived value (a platform's own ``pow``) do not count,
     and a record counts by its samples. It depends on neither Python's version nor the platform.
     """
-    parts = {f.name: getattr(scenario, f.name) for f in fields(scenario) if f.name != "name"}
+    parts = {f.name: getattr(scenario, f.name) for f in fields(scenario) if f.name not in LEFT_OUT}
     plain = {name: _canonical(value, name) for name, value in parts.items()}
     text = json.dumps(_without_empty(plain), sort_keys=True, separators=(",", ":"))
     return f"{VERSION}:{hashlib.sha256(text.encode()).hexdigest()[:32]}"

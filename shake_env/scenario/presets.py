@@ -109,6 +109,7 @@ def records() -> Scenario:
         current_limit=table.current_limit,
         limits=table.limits,
         sensing=table.sensing,
+        train_on=table.name,
     )
 
 

@@ -78,6 +78,13 @@ class Scenario:
     delay: float = 0  # [physics steps] from the controller's command to the valve
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
     sensing: Sensing = field(default_factory=Sensing)
+    # Set where this scenario is reserved for testing: name of the one to train and tune on instead.
+    train_on: str | None = None
+
+    @property
+    def reserved_for_testing(self) -> bool:
+        """Whether nothing is trained or tuned on this scenario."""
+        return self.train_on is not None
 
     def __post_init__(self) -> None:
         for name, kind in _KINDS:

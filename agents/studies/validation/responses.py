@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from agents.seeds import VALIDATION_SEED
 from agents.studies.reproduction.tables import WEIGHTS
 from baselines.analysis.balanced_truncation import Reduction
 from baselines.analysis.closed_loop import ClosedLoop, Response, closed_loop, respond
@@ -31,7 +32,6 @@ from shake_env.simulation.trajectory import Trajectory
 HIGHPASS = 0.5  # [Hz] of the third group: without it the target's displacement has no bound
 UNKNOWN_SPECIMEN = 1e-3  # mass over table mass of a design that takes the table as empty
 UNCLIPPED = 100.0  # [A] the validation asks what a motion needs, so that nothing may cut it short
-NOISE_SEED = 3_000_000
 
 SAMPLED, UNAWARE = "LQR", "LQR without specimen"
 
@@ -51,12 +51,12 @@ def groups(scenario: Scenario, noise: int) -> list[Group]:
     found = [Group("records", free, recorded_earthquakes(free))]
     if noise == 0:
         return found
-    found.append(Group("filtered noise", free, noise_earthquakes(free, noise, NOISE_SEED)))
+    found.append(Group("filtered noise", free, noise_earthquakes(free, noise, VALIDATION_SEED)))
     if scenario.ground.highpass_frequency is None:
         ground = replace(scenario.ground, highpass_frequency=HIGHPASS)
         motion = free.motion if isinstance(free.motion, FilteredNoise) else FilteredNoise()
         highpassed = replace(free, ground=ground, motion=replace(motion, envelope=Envelope()))
-        quakes = noise_earthquakes(highpassed, noise, NOISE_SEED + noise)
+        quakes = noise_earthquakes(highpassed, noise, VALIDATION_SEED + noise)
         found.append(Group("high-passed noise", highpassed, quakes))
     return found
 

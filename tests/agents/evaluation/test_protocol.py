@@ -8,16 +8,22 @@ import numpy as np
 import pytest
 
 from agents.__main__ import main
-from agents.evaluation.benchmark import TEST_SEED
 from agents.evaluation.comparison import compare
 from agents.evaluation.protocol import Contestant, contestant, evaluate, optimal_cost, policy_files
 from agents.evaluation.result_files import read_results, write_result
 from agents.evaluation.scores import cost_figures
-from agents.experiments.controller_tuning import VALIDATION_SEED
 from agents.policies.policy_file import digest, load_policy
 from agents.policies.registry import shipped_policy
 from agents.reporting.evaluation_tables import markdown, put_tables
-from agents.training.run import EVALUATION_SEED
+from agents.seeds import (
+    COMPARISON_SEED,
+    EVALUATION_SEED,
+    MOST_RUNS,
+    ROBUSTNESS_SEED,
+    RUN_SEEDS,
+    TEST_SEED,
+    VALIDATION_SEED,
+)
 from baselines.lqr.preview import preview_lqr
 from baselines.lqr.sampled import sampled_lqr
 from shake_env import make_scenario
@@ -100,7 +106,8 @@ def test_an_evaluation_is_repeated_exactly(scenario, two_seeds, result):
 
 
 def test_test_earthquakes_are_nobody_elses():
-    starts = [0, EVALUATION_SEED, 2_000_000, VALIDATION_SEED, TEST_SEED]
+    starts = [0, EVALUATION_SEED, COMPARISON_SEED, VALIDATION_SEED, TEST_SEED, ROBUSTNESS_SEED]
+    assert MOST_RUNS * RUN_SEEDS <= EVALUATION_SEED
     assert starts == sorted(starts)
     assert min(np.diff(starts)) >= 1_000_000
 

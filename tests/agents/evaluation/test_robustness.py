@@ -362,10 +362,7 @@ def test_a_report_shows_it(small, tmp_path, capsys):
     other = ["--robustness", file, "--scenario", "laboratory"]
     for more, message in (
         (["--robustness", file], "give --report"),
-        (
-            ["--robustness", file, "--report", str(tmp_path / "two"), "--scenario", "laboratory"],
-            "is of linear",
-        ),
+        ([*other, "--report", str(tmp_path / "two")], "is of linear"),
     ):
         assert main([*words, *more]) == 2
         assert message in capsys.readouterr().err

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.__main__ import main
-from agents.evaluation.benchmark import TEST_SEED
 from agents.experiments import recipes
 from agents.experiments.recipes import RECIPES, Recipe
 from agents.experiments.search import Search, find_recipe, open_study, search_recipe, trace_of
@@ -28,9 +27,9 @@ from agents.experiments.search_trace import (
 )
 from agents.progress import Progress
 from agents.run_directory import locked
+from agents.seeds import EVALUATION_SEED, TEST_SEED
 from agents.training.algorithm_options import PPOOptions, SACOptions
 from agents.training.config import TrainConfig, config_of
-from agents.training.run import EVALUATION_SEED
 from baselines.lqr.sampled import lqr
 from shake_env.errors import ParameterError, RunDirectoryError, ScenarioError
 
