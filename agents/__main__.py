@@ -22,14 +22,28 @@ MISTAKE, INTERRUPTED, BROKEN_PIPE = 2, 130, 141  # exit codes
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; return 0, 1 if runs failed, 2 for a mistake in what was asked, 130 interrupted."""
     words = [*(sys.argv[1:] if arguments is None else arguments)]
+    try:
+        if (text := own_text(words)) is not None:
+            print(text, flush=True)
+            return 0 if words else MISTAKE
+        if words[0] in COMPLETION:
+            print_completion(words)
+        return run_words(words)
+    except BrokenPipeError:  # whoever reads has enough, such as head
+        with contextlib.suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+
+
+def own_text(words: Sequence[str]) -> str | None:
+    """Return what ``shake`` prints without a command (help, version); None: a command follows."""
     if not words or words[0] in HELP:
-        print(command_help())
-        return 0 if words else MISTAKE
-    if words[0] == "--version":
-        print(f"shake-env {shake_env.__version__}")
-        return 0
-    if words[0] in COMPLETION:
-        print_completion(words)
+        return command_help()
+    return f"shake-env {shake_env.__version__}" if words[0] == "--version" else None
+
+
+def run_words(words: Sequence[str]) -> int:
+    """Run the command of a line, and return the exit code; errors become one line each."""
     command: CommandOptions | None = None
     try:
         command = parse(words)
@@ -40,10 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if (error.name or "").partition(".")[0] in ("shake_env", "baselines", "agents"):
             raise
         report(f"{error.name} is not installed: {install_hint('agents')}", command)
-    except BrokenPipeError:  # whoever reads has enough, such as head
-        with contextlib.suppress(OSError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return BROKEN_PIPE
+    except BrokenPipeError:
+        raise
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         report(f"{place}{error.strerror or error}", command)

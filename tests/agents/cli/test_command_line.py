@@ -91,6 +91,15 @@ def test_the_scenario_options_stand_behind_one_heading(capsys):
     assert main(["list", "--help-scenario"]) == 2
 
 
+@pytest.mark.parametrize("words", [["--help"], ["--version"], ["list"], ["compare", "--help"]])
+def test_a_reader_that_leaves_gets_no_traceback(words):
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-m", "agents", *words], stdout=pipe, stderr=pipe) as process:
+        process.stdout.close()
+        err = process.stderr.read()
+    assert b"Traceback" not in err and b"Exception" not in err
+
+
 def test_version(capsys):
     from importlib.metadata import version
 
