@@ -1,12 +1,15 @@
 """Kalman filters, LQG, adaptive control: from measured signals to the state."""
 
-from baselines.estimation.adaptive import certainty_equivalence
-from baselines.estimation.estimator_model import ModelError
-from baselines.estimation.lqg import EstimatedState, estimated
+from shake_env.lazy import names_of
 
-__all__ = [
-    "EstimatedState",
-    "ModelError",
-    "certainty_equivalence",
-    "estimated",
-]
+__getattr__, __all__ = names_of(
+    __name__,
+    {
+        "adaptive": ("certainty_equivalence",),
+        "estimator_model": ("ModelError",),
+        "lqg": (
+            "EstimatedState",
+            "estimated",
+        ),
+    },
+)

@@ -1,11 +1,12 @@
 """Drive files, and their correction from test to test."""
 
-from baselines.iterative.drive_file import DriveFile
-from baselines.iterative.ilc import norm_optimal_learning
-from baselines.iterative.transfer_function_iteration import IterationPlan
+from shake_env.lazy import names_of
 
-__all__ = [
-    "DriveFile",
-    "IterationPlan",
-    "norm_optimal_learning",
-]
+__getattr__, __all__ = names_of(
+    __name__,
+    {
+        "drive_file": ("DriveFile",),
+        "ilc": ("norm_optimal_learning",),
+        "transfer_function_iteration": ("IterationPlan",),
+    },
+)

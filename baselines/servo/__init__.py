@@ -1,21 +1,27 @@
 """Controllers of eight measured signals: PID, three-variable control, inverse model, MCS."""
 
-from baselines.servo.disturbance_observer import DisturbanceObserver, ObserverDesign
-from baselines.servo.inverse_model import InverseDesign, InverseFeedForward
-from baselines.servo.mcs import MCS, MCSDesign
-from baselines.servo.pid import PIDRule
-from baselines.servo.signals import as_action, recall
-from baselines.servo.tvc import TVCDesign
+from shake_env.lazy import names_of
 
-__all__ = [
-    "MCS",
-    "DisturbanceObserver",
-    "InverseDesign",
-    "InverseFeedForward",
-    "MCSDesign",
-    "ObserverDesign",
-    "PIDRule",
-    "TVCDesign",
-    "as_action",
-    "recall",
-]
+__getattr__, __all__ = names_of(
+    __name__,
+    {
+        "disturbance_observer": (
+            "DisturbanceObserver",
+            "ObserverDesign",
+        ),
+        "inverse_model": (
+            "InverseDesign",
+            "InverseFeedForward",
+        ),
+        "mcs": (
+            "MCS",
+            "MCSDesign",
+        ),
+        "pid": ("PIDRule",),
+        "signals": (
+            "as_action",
+            "recall",
+        ),
+        "tvc": ("TVCDesign",),
+    },
+)

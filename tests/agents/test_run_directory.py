@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from agents.evaluation import benchmark as bench
-from agents.reporting import evaluation_tables as result_tables
+from agents.evaluation import result_files
 from agents.run_directory import (
     BEST,
     CONFIG,
@@ -210,7 +210,7 @@ def test_results_of_the_documentation_are_complete_and_others_are_named(tmp_path
     folder = request.config.rootpath / "docs" / "results"
     for file in sorted(folder.glob("bench_*.json")):
         assert bench.read_result(file)["scenario"] == file.stem.removeprefix("bench_")
-    assert len(result_tables.read_results(folder)) > 3
+    assert len(result_files.read_results(folder)) > 3
     result = bench.read_result(folder / "bench_linear.json")
     for damage in (
         lambda r: r.pop("reference"),
@@ -228,4 +228,4 @@ def test_results_of_the_documentation_are_complete_and_others_are_named(tmp_path
     protocol["episodes"].popitem()
     write_json(tmp_path / "evaluation_linear.json", protocol)
     with pytest.raises(FileError, match="no complete result of shake evaluate"):
-        result_tables.read_results(tmp_path)
+        result_files.read_results(tmp_path)

@@ -186,7 +186,7 @@ def test_a_recipe_that_charges_otherwise_corrects_the_same_law():
 
 
 def test_design_says_what_the_scenario_really_runs():
-    scenario = make_scenario("yielding", {"duration": 1.0})
+    scenario = make_scenario("yielding", {"duration": 1.0, "mass_ratio": 0.4})
     found = design(scenario, earthquakes=2)
     assert (found["controller"], found["method"], found["earthquakes"]) == (
         "preview-lqr", "simulation", 2,

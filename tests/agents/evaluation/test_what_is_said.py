@@ -110,4 +110,4 @@ def test_the_table_says_where_values_come_from(capsys):
 
     found = compare(make_scenario("linear", {"duration": 0.4}), ["tvc"], noise=2, records=False)
     print_tables(found, Console(width=100))
-    assert "Parameter values: lqr, tvc: written rule." in capsys.readouterr().out
+    assert "Parameter values: lqr: written rule; tvc: tuned on this scenario." in capsys.readouterr().out

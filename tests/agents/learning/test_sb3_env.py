@@ -165,9 +165,9 @@ def test_a_model_with_memory_is_a_controller():
 
 def test_a_gymnasium_batch_given_to_sb3_names_what_to_use():
     envs = gymnasium.make_vec(ID, num_envs=2)
-    with pytest.raises(ValueError, match=r"agents\.sb3_env\.make_sb3_env"):
+    with pytest.raises(ValueError, match=r"agents\.learning\.make_sb3_env"):
         PPO("MlpPolicy", envs)
-    with pytest.raises(ValueError, match=r"agents\.sb3_env\.make_sb3_env"):
+    with pytest.raises(ValueError, match=r"agents\.learning\.make_sb3_env"):
         evaluate_policy(NoControl(), envs)
     assert str(ShakeTableVectorEnv) == "<class 'shake_env.vector_env.ShakeTableVectorEnv'>"
 

@@ -197,8 +197,8 @@ def test_the_document_holds_the_tables_that_the_command_writes(run):
 
 
 def test_reproduction_needs_no_learning_library():
-    folder = Path(agents.studies.reproduction.run.__file__).parents[2]
-    for name in ("reproduce.py", "reproduce_tables.py", "reproduce_figures.py", "figure_style.py"):
+    folder = Path(agents.studies.reproduction.run.__file__).parent
+    for name in ("run.py", "tables.py", "figures.py", "../../figure_style.py"):
         for node in ast.walk(ast.parse((folder / name).read_text())):
             imported = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             if isinstance(node, ast.ImportFrom):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_compiled import EVERYTHING, PARTS, dynamics_of, scale_of
+from kernel_cases import EVERYTHING, PARTS, dynamics_of, scale_of
 
 from agents.learning.apg.torch_plant import CompiledPeriod, torch_model
 from agents.learning.apg.window_rollout import TorchTables

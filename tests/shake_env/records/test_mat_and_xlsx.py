@@ -225,7 +225,7 @@ def test_workbooks_that_do_not_fit_are_refused():
 
 def test_workbooks_name_the_missing_package_and_the_older_format(monkeypatch):
     monkeypatch.setitem(sys.modules, "openpyxl", None)
-    with pytest.raises(RecordError, match=r"pip install 'shake-env\[xlsx\]'"):
+    with pytest.raises(RecordError, match=r"pip install '\.\[xlsx\]'"):
         parse_motion("made", b"PK\x03\x04 xl/workbook.xml")
     with pytest.raises(RecordError, match=r"save it as \.xlsx"):
         parse_motion("made", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(99))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_analytic_gradient import model_on
+from gradient_models import model_on
 
 from agents.learning.apg.gradient_checkpointing import checkpointed
 from agents.learning.vec_env import ShakeTableVecEnv
