@@ -25,7 +25,7 @@ import control
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from baselines.lqr.h_infinity_norm import h_infinity_norm
+from baselines.lqr.h_infinity_norm import discrete_h_infinity_norm
 from baselines.lqr.sampled import ScaledProblem, StationaryPerformance, stationary_performance
 from shake_env.dynamics.nonlinear import FORCE, controlled_plant
 from shake_env.errors import NumericalError, ParameterError
@@ -142,7 +142,7 @@ class GeneralizedPlant:
     def force_gain(self, K: FloatArray, rho: float) -> float:
         """Return the H-infinity norm [-] from w to ``rho z`` under ``u = -K x`` (1, m)."""
         (B_w, _, B_u), C_z, (on_w, _, on_u) = self.B, self.C[0], self.D[0]
-        return h_infinity_norm(self.A - B_u @ K, B_w, rho * (C_z - on_u @ K), rho * on_w)
+        return discrete_h_infinity_norm(self.A - B_u @ K, B_w, rho * (C_z - on_u @ K), rho * on_w)
 
 
 def _problem(scenario: Scenario, position: float | None) -> ScaledProblem:

@@ -20,7 +20,7 @@ ON_THE_CIRCLE = 1e-7  # distance of an eigenvalue's modulus from 1; a double one
 STEPS = 60
 
 
-def h_infinity_norm(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> float:
+def discrete_h_infinity_norm(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> float:
     """Return the largest gain over all frequencies of ``x+ = A x + B u, y = C x + D u``.
 
     Parameters

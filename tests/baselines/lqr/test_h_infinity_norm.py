@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from baselines.lqr.h_infinity import GeneralizedPlant, robust_feedback
-from baselines.lqr.h_infinity_norm import h_infinity_norm
+from baselines.lqr.h_infinity_norm import discrete_h_infinity_norm
 from shake_env import make_scenario
 from shake_env.errors import NumericalError
 
 
 def test_a_first_order_lag_has_its_largest_gain_at_rest():
     a, b, c, d = 0.8, 0.3, 2.0, 0.5
-    found = h_infinity_norm(np.array([[a]]), np.array([[b]]), np.array([[c]]), np.array([[d]]))
+    found = discrete_h_infinity_norm(np.array([[a]]), np.array([[b]]), np.array([[c]]), np.array([[d]]))
     assert found == pytest.approx(c * b / (1.0 - a) + d, rel=1e-12)
 
 
@@ -23,7 +23,7 @@ def test_a_lightly_damped_resonance_is_found_between_the_points_of_a_grid():
     cosine = np.cos(phi) * (1.0 + r**2) / (2.0 * r)
     z = np.exp(1j * np.arccos(cosine))
     peak = 1.0 / abs(z**2 - 2.0 * r * np.cos(phi) * z + r**2)
-    assert h_infinity_norm(A, B, C, D) == pytest.approx(peak, rel=1e-7)
+    assert discrete_h_infinity_norm(A, B, C, D) == pytest.approx(peak, rel=1e-7)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -36,7 +36,7 @@ def test_random_systems_against_a_dense_grid(seed):
     angles = np.linspace(0.0, np.pi, 20_001)
     z = np.exp(1j * angles)[:, None, None]
     gains = np.linalg.norm(C @ np.linalg.solve(z * np.eye(n) - A, B + 0j * z) + D, 2, axis=(1, 2))
-    found = h_infinity_norm(A, B, C, D)
+    found = discrete_h_infinity_norm(A, B, C, D)
     assert found >= gains.max() * (1.0 - 1e-9)
     assert found == pytest.approx(gains.max(), rel=1e-4)  # the grid misses a peak by its step squared
 
@@ -45,20 +45,22 @@ def test_scaling_the_system_scales_the_norm():
     rng = np.random.default_rng(3)
     A = 0.2 * rng.normal(size=(5, 5))
     B, C, D = rng.normal(size=(5, 2)), rng.normal(size=(3, 5)), rng.normal(size=(3, 2))
-    one = h_infinity_norm(A, B, C, D)
-    assert h_infinity_norm(A, B, 7.0 * C, 7.0 * D) == pytest.approx(7.0 * one, rel=1e-9)
-    assert h_infinity_norm(A.T, C.T, B.T, D.T) == pytest.approx(one, rel=1e-9)
+    one = discrete_h_infinity_norm(A, B, C, D)
+    assert discrete_h_infinity_norm(A, B, 7.0 * C, 7.0 * D) == pytest.approx(7.0 * one, rel=1e-9)
+    assert discrete_h_infinity_norm(A.T, C.T, B.T, D.T) == pytest.approx(one, rel=1e-9)
 
 
 def test_feed_through_alone():
     D = np.array([[3.0, 0.0], [0.0, -4.0]])
-    assert h_infinity_norm(np.zeros((1, 1)), np.zeros((1, 2)), np.zeros((2, 1)), D) == pytest.approx(4.0)
+    assert discrete_h_infinity_norm(
+        np.zeros((1, 1)), np.zeros((1, 2)), np.zeros((2, 1)), D
+    ) == pytest.approx(4.0)
 
 
 def test_an_unstable_system_has_none():
     one = np.ones((1, 1))
     with pytest.raises(NumericalError, match="pole radius"):
-        h_infinity_norm(1.01 * one, one, one, one)
+        discrete_h_infinity_norm(1.01 * one, one, one, one)
 
 
 # Measured with SLICOT's AB13DD (slycot 0.7.1) on the law of each uncertainty, linear, two storeys.
