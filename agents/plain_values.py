@@ -32,7 +32,8 @@ def typed(kind: type[Value], values: object, name: str = "") -> Value:
     """
     if not isinstance(values, Mapping):
         raise ValueError(f"{name or 'the whole'} must be a JSON object")
-    hints, prefix = _hints(kind), f"{name}." if name else ""
+    hints: dict[str, Any] = _hints(kind)  # type: ignore[arg-type]  # mypy takes no type[T] as hashable
+    prefix = f"{name}." if name else ""
     for key in values:
         if key not in hints:
             raise ValueError(f"{prefix}{key} is unknown")
