@@ -69,7 +69,7 @@ def _typed(hint: Any, value: Any, name: str) -> Any:
             raise ValueError(f"{name} is {value!r}: must be a JSON object")
         return value
     if is_dataclass(hint):
-        return typed(hint, value, name)  # type: ignore[arg-type]
+        return typed(hint, value, name)  # type: ignore[arg-type]  # a hint is a class, no value
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
         return value
     if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
