@@ -32,7 +32,8 @@ def typed(kind: type[Value], values: object, name: str = "") -> Value:
     """
     if not isinstance(values, Mapping):
         raise ValueError(f"{name or 'the whole'} must be a JSON object")
-    hints, prefix = _hints(kind), f"{name}." if name else ""
+    hints: dict[str, Any] = _hints(kind)  # type: ignore[arg-type]  # mypy takes no type[T] as hashable
+    prefix = f"{name}." if name else ""
     for key in values:
         if key not in hints:
             raise ValueError(f"{prefix}{key} is unknown")
@@ -68,7 +69,7 @@ def _typed(hint: Any, value: Any, name: str) -> Any:
             raise ValueError(f"{name} is {value!r}: must be a JSON object")
         return value
     if is_dataclass(hint):
-        return typed(hint, value, name)  # type: ignore[arg-type]
+        return typed(hint, value, name)  # type: ignore[arg-type]  # a hint is a class, no value
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
         return value
     if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):

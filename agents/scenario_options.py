@@ -81,7 +81,7 @@ class ScenarioOptions:
             if field.name not in ("scenario", "set", "values") and getattr(self, field.name) is not None
         }
         overrides["fields"] = dict(assignment(text) for text in self.set)
-        return make_scenario(base, Overrides(**overrides))  # type: ignore[typeddict-item]
+        return make_scenario(base, Overrides(**overrides))  # type: ignore[typeddict-item]  # same names
 
     def without_file(self) -> ScenarioOptions:
         """Return these options with the contents of a scenario file in place of its path.

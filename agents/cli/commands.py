@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -147,7 +147,7 @@ def parse(words: Sequence[str]) -> CommandOptions:
 
 def print_completion(words: Sequence[str]) -> None:
     """Print or write the completion script that tyro makes of all commands, and exit."""
-    every = {name: command.load() for name, command in COMMANDS.items()}
+    every: dict[str, Callable[..., Any]] = {name: command.load() for name, command in COMMANDS.items()}
     tyro.extras.subcommand_cli_from_dict(every, prog="shake", args=list(words))
 
 

@@ -30,7 +30,7 @@ class List(CommandOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Print a table a kind."""
-        result = {}
+        result: dict[str, Any] = {}
         for kind in self.kinds or tuple(LISTED):
             names = result[kind] = LISTED[kind]()
             print_table(console, (kind, ""), [*names.items()], left=(1,), fold=1)

@@ -98,7 +98,7 @@ def read_result(file: str | PathLike[str]) -> dict[str, Any]:
     file = Path(file)
     result = read_json(file)
     lacks = [key for key in _KEYS if key not in result]
-    rows = result.get("rows")
+    rows: Any = result.get("rows")
     if not lacks and not (isinstance(rows, list) and rows and all(isinstance(r, dict) for r in rows)):
         lacks = ["rows"]
     for row in () if lacks else rows:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,6 @@ from scipy.stats import bootstrap
 from shake_env.errors import ParameterError
 from shake_env.model.parameters import FloatArray
 from shake_env.simulation.metrics import EpisodeMetrics
-
-if TYPE_CHECKING:
-    pass
 
 Scores = NDArray[np.float64]  # (seeds, earthquakes)
 Statistic = Callable[..., float]

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.evaluation.bootstrap import _interval, _mean, _ratio
 from agents.evaluation.controller_set import CLAIRVOYANT, named_controllers, require_names
 from agents.evaluation.fidelity import Fidelity, fidelity
+from agents.evaluation.latency import decision_time
+from agents.evaluation.results import Comparison, GroupSummary
 from agents.seeds import COMPARISON_SEED
 from baselines.catalogue import BASELINES
 from baselines.iterative.drive_file import DriveFile
@@ -22,12 +24,6 @@ from shake_env.safety.supervisor import Supervised
 from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.metrics import EpisodeMetrics
 from shake_env.simulation.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    pass
-from agents.evaluation.bootstrap import _interval, _mean, _ratio
-from agents.evaluation.latency import decision_time
-from agents.evaluation.results import Comparison, GroupSummary
 
 FIGURES = (
     "acceleration_rms_error",

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from shake_env.controller import Controller, decide
 from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.simulation import Simulation
-
-if TYPE_CHECKING:
-    pass
 
 
 def decision_time(controller: Controller, scenario: Scenario, decisions: int = 200) -> float:

@@ -40,6 +40,7 @@ class Quantity:
         """Return the values of a sweep, ascending; the nominal one is among them."""
         nominal = nominal_value(scenario, self.name)
         unit = nominal if self.relative else 1.0
+        values: tuple[float, ...]
         if self.name == "noise" and scenario.sensing.full_state:
             values = STATE_NOISE[::2] if coarse else STATE_NOISE
         else:

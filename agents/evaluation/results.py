@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
-
-from shake_env.errors import ParameterError
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
-from dataclasses import field
-from typing import TYPE_CHECKING
 
 import shake_env
 from agents.evaluation.controller_set import describe_values, values_to_json
 from agents.evaluation.fidelity import Fidelity
 from baselines.registry import ParameterValues
+from shake_env.errors import ParameterError
 from shake_env.simulation.metrics import EpisodeMetrics
 from shake_env.simulation.trajectory import Trajectory
 

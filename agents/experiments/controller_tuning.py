@@ -33,6 +33,7 @@ from shake_env.errors import (
     install_hint,
     unknown,
 )
+from shake_env.motion.targets import FilteredNoise
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario.digest import scenario_digest
 from shake_env.scenario.scenario import Scenario
@@ -106,7 +107,9 @@ def tune(
     if not tunable:
         raise ParameterError("controller", name, "has no free parameter: its design decides everything")
     motions = noise_earthquakes(scenario, earthquakes, VALIDATION_SEED)
-    steps = round(motions[0].motion.duration / scenario.control_period) * earthquakes  # type: ignore[union-attr]
+    noise = motions[0].motion
+    assert isinstance(noise, FilteredNoise)
+    steps = round(noise.duration / scenario.control_period) * earthquakes
     steps *= candidate.tests
     total = trials_of(budget, steps)
     quakes = [motions] if candidate.repeats_tests else []
@@ -228,7 +231,7 @@ def search(
             }
         )
 
-    distributions = {
+    distributions: dict[str, optuna.distributions.BaseDistribution] = {
         each: optuna.distributions.FloatDistribution(t.low, t.high, log=t.logarithmic)
         for each, t in tunable.items()
     }

@@ -83,7 +83,7 @@ def evaluate_arena(
 
 def _read(file: Path, arena: Arena) -> dict[str, Any]:
     known = read_result(file)
-    identity = known.get("identity")
+    identity: Any = known.get("identity")
     complete = isinstance(identity, dict) and {"arena", "clairvoyant", "rows", "tuned"} <= set(identity)
     if not complete or identity["arena"] != _asked(arena):
         raise ParameterError(

@@ -15,7 +15,8 @@ from typing import Any, get_args
 
 from agents.evaluation.protocol import optimal_cost
 from agents.experiments.recipes import Recipe
-from agents.policies.base_law import BaseLaw, base_law
+from agents.policies.base_law import base_law
+from agents.policies.base_names import BaseLaw
 from agents.seeds import MOST_RUNS
 from agents.training.config import TrainConfig
 from shake_env.errors import ParameterError, ShakeError
@@ -164,8 +165,10 @@ def space(recipe: Recipe) -> tuple[Knob, ...]:
     """Return what a search may change about a recipe, each with the recipe's own value in it."""
     own = own_values(recipe)
     knobs = [
-        knob.holding(own[knob.name]) for knob in _SPACES[recipe.config.algorithm] if knob.name in own
-    ]  # type: ignore[arg-type]
+        knob.holding(own[knob.name])  # type: ignore[arg-type]  # a range's own value is a number
+        for knob in _SPACES[recipe.config.algorithm]
+        if knob.name in own
+    ]
     if "minibatches" in own:
         knobs = _dividing(knobs, recipe.config.chosen.tables, int(own["minibatches"]))
     if len(laws := suitable_laws(recipe)) > 1:

@@ -198,7 +198,7 @@ def _number(value: Value | None) -> str:
 
 
 def _span(values: Sequence[Value]) -> str:
-    low, high = min(values), max(values)  # type: ignore[type-var]
+    low, high = min(values), max(values)
     return _number(low) if low == high else f"{_number(low)} to {_number(high)}"
 
 

@@ -41,7 +41,8 @@ def feature_matrix(scenario: Scenario, believed: bool = False) -> FloatArray:
         state is taken as the full state is, the disturbances and the law's action by their sizes.
     """
     if believed:
-        return block_diag(feature_matrix(scenario), _believed(scenario))
+        both: FloatArray = block_diag(feature_matrix(scenario), _believed(scenario))
+        return both
     shown = scenario.observation
     matrix = np.eye(shown.size)
     kept = np.arange(shown.size)
@@ -84,7 +85,7 @@ def feature_sizes(scenario: Scenario, believed: bool = False) -> FloatArray:
 def _believed(scenario: Scenario) -> FloatArray:
     """Return the map (features, e) from what an `EstimatedLaw` shows."""
     layout, motion, friction = scenario.plant.layout, scenario.motion, scenario.nonlinearity.friction
-    matrix = block_diag(_full_state(scenario), np.eye(DISTURBANCES) / ERROR_SHARE, 1.0)
+    matrix: FloatArray = block_diag(_full_state(scenario), np.eye(DISTURBANCES) / ERROR_SHARE, 1.0)
     matrix[-1] *= scenario.current_limit / REFERENCE_CURRENT
     if isinstance(motion, FilteredNoise) and motion.amplitude > 0.0:
         matrix /= motion.amplitude

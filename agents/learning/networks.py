@@ -74,9 +74,7 @@ class GRUPolicy(ActorCriticPolicy):
         memory = self.gru(features, memory)
         return torch.cat([features, memory], dim=-1), memory
 
-    def extract_features(  # type: ignore[override]
-        self, obs: PyTorchObs, features_extractor: Any = None
-    ) -> torch.Tensor:
+    def extract_features(self, obs: PyTorchObs, features_extractor: Any = None) -> torch.Tensor:
         """Return what the networks see at the start of an episode, (N, features + units)."""
         assert isinstance(obs, torch.Tensor)  # a table's observation is no dictionary
         return self.recall(obs, self.rest(len(obs)))[0]
@@ -161,6 +159,7 @@ class DirectPolicy(ActorCriticPolicy):
 def begin_still(policy: ActorCriticPolicy) -> None:
     """Let the direct path begin at zero: a random law moves the table, a fresh network hardly does."""
     assert isinstance(policy.mlp_extractor, DirectActor)
+    assert isinstance(policy.action_net, torch.nn.Linear)  # as for any Gaussian action
     with torch.no_grad():
         policy.action_net.weight[:, -policy.mlp_extractor.feature_dim :] = 0.0
 
@@ -195,10 +194,10 @@ class LSTMPolicy(RecurrentActorCriticPolicy):
         lanes = lstm_states[0].shape[1]
         starts = episode_starts.reshape(lanes, -1)
         if torch.any(starts[:, 1:]):
-            output, lstm_states = RecurrentActorCriticPolicy._process_sequence(
+            output, states = RecurrentActorCriticPolicy._process_sequence(
                 features, lstm_states, episode_starts, lstm
             )
-            return torch.cat([features, output], dim=-1), lstm_states
+            return torch.cat([features, output], dim=-1), states
         keep = (1.0 - starts[:, 0]).view(1, lanes, 1)
         rows = features.reshape(lanes, -1, lstm.input_size).swapaxes(0, 1)
         output, lstm_states = lstm(rows, (keep * lstm_states[0], keep * lstm_states[1]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol, Unpack
+from typing import Any, Protocol, Unpack, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +61,7 @@ class VecTrackingFeatures(VecEnvWrapper):
         return self.features(observation), reward, done, infos
 
 
-def make_sb3_env(
+def make_sb3_env(  # type: ignore[misc]  # `duration` is the episode's, and no override here
     scenario: str | Scenario = "linear",
     num_envs: int = 64,
     *,
@@ -104,7 +104,7 @@ def make_sb3_env(
     """
     if not isinstance(num_envs, int | np.integer) or num_envs < 1:
         raise ParameterError("num_envs", num_envs, "must be a whole number of at least 1")
-    made = make_scenario(scenario_of(scenario), overrides)
+    made = make_scenario(scenario_of(scenario), cast(Overrides, overrides))
     horizon = horizon_of(gamma, made.control_period)
     training = make_training_scenario(made, horizon=horizon, duration=duration, state_limit=state_limit)
     tables = ShakeTableVecEnv(

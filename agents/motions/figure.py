@@ -54,7 +54,7 @@ def _draw(
             record = channel.record
             step = record.sampling_interval
             history = target_history(replace(channel.by_amplitude.motion, amplitude=1.0), step)
-            time = step * np.arange(len(history.acceleration))
+            time = step * np.arange(len(history.acceleration), dtype=np.float64)
             rows: tuple[tuple[FloatArray, float | None], ...] = (
                 (history.acceleration, None),
                 (history.velocity, capacity.velocity),

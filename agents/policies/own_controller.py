@@ -63,10 +63,10 @@ def _factory(name: str) -> Callable[..., Any]:
     module = _from_file(name, Path(place)) if place.endswith(".py") else _from_path(name, place)
     if not hasattr(module, attribute):
         raise ScenarioError("controller", name, f"{place} has no {attribute}: {_FORM}")
-    make = getattr(module, attribute)
+    make: Callable[..., Any] = getattr(module, attribute)
     if not callable(make):
         raise ScenarioError("controller", name, "must be a class or a function of a scenario")
-    return make  # type: ignore[no-any-return]
+    return make
 
 
 def _from_file(name: str, file: Path) -> ModuleType:

@@ -281,7 +281,8 @@ def _law(arrays: dict[str, NDArray[Any]], actions: int) -> EstimatedLaw:
         fits = array.ndim == dimensions and array.dtype == np.float64 and array.size > 0
         _require(fits, f"law {name}", (array.shape, str(array.dtype)), "must be float64")
     law = EstimatedLaw(**arrays, actions=actions)
-    rows, estimates, readings = len(law.advance), *law.gains.shape[1:]
+    rows = len(law.advance)
+    _, estimates, readings = law.gains.shape
     fits = (
         law.advance.shape[1] == law.show.shape[1]
         and law.begins.shape == (rows,)

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from agents.policies.policy_file import PolicyFile, Weights
+from agents.policies.policy_file import PolicyFile
+from agents.policies.recurrent_cells import Weights
 from shake_env.errors import PolicyFileError
 
 

@@ -171,10 +171,12 @@ def _trade_off(report: Report) -> Figure:
             [100 * row.base_shear_rms_error for row in rows], **mark, markersize=3, alpha=0.25,
         )  # fmt: skip
         (x, *x_ends), (y, *y_ends) = errors.acceleration, errors.base_shear
-        bars = [
+        x_bars, y_bars = (
             np.abs(100 * (np.array(ends)[:, None] - mean)) for ends, mean in ((x_ends, x), (y_ends, y))
-        ]
-        panel.errorbar(100 * x, 100 * y, *bars[::-1], color=mark["color"], capsize=2.5, linestyle="none")
+        )
+        panel.errorbar(
+            100 * x, 100 * y, y_bars, x_bars, color=mark["color"], capsize=2.5, linestyle="none"
+        )
         panel.plot(
             100 * x, 100 * y, **mark, markersize=8, markeredgecolor="white", zorder=4,
             label=report.labels[name],

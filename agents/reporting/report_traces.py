@@ -126,7 +126,8 @@ def _bytes(numbers: NDArray[np.int64]) -> bytes:
     """Return whole numbers below 2^14 as one or two bytes each, seven bits a byte, lowest first."""
     low, high = numbers & 127, numbers >> 7
     pairs = np.stack([low | np.where(high > 0, 128, 0), high], axis=1).astype(np.uint8)
-    return pairs[np.stack([np.ones(len(high), dtype=bool), high > 0], axis=1)].tobytes()
+    packed: bytes = pairs[np.stack([np.ones(len(high), dtype=bool), high > 0], axis=1)].tobytes()
+    return packed
 
 
 def pack_all(

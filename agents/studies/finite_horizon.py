@@ -73,7 +73,7 @@ def windowed_law(scenario: Scenario, window: int, discount: float) -> FloatArray
             total, weights = total + weight * to_go, weights + weight
             to_go = stage + discount * closed.T @ to_go @ closed
         P = discount * total / weights  # what follows an action, over its places in the window
-        better = np.linalg.solve(R + p.G.T @ P @ p.G, p.G.T @ P @ p.F + S.T)
+        better = np.linalg.solve(R + p.G.T @ P @ p.G, p.G.T @ P @ p.F + S.T).astype(np.float64)
         change = np.max(np.abs(better - K)) / np.max(np.abs(K))
         K = better
         if change < 1e-9:

@@ -52,7 +52,7 @@ def _accelerogram(stream: np.random.Generator) -> FloatArray:
         hold=stream.uniform(2.0, 12.0),
         decay_rate=stream.uniform(0.1, 0.5),
     )
-    time = np.arange(round(stream.uniform(15.0, 30.0) / INTERVAL)) * INTERVAL
+    time = np.arange(round(stream.uniform(15.0, 30.0) / INTERVAL), dtype=np.float64) * INTERVAL
     noise = stream.standard_normal(len(time)) * envelope.at(time)
     f = np.fft.rfftfreq(len(time), INTERVAL)
     ground, corner = np.exp(stream.uniform(np.log([0.6, 0.1]), np.log([6.0, 0.5])))

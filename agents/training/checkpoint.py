@@ -166,6 +166,7 @@ def _read(file: Path) -> dict[str, Any]:
 
 def _state(model: Model, env: ShakeTableVecEnv) -> dict[str, Any]:
     parameters = model.get_parameters()
+    buffer = model.replay_buffer if isinstance(model, OffPolicyAlgorithm) else None
     _, variables = model._get_torch_save_params()
     return {
         "direct": isinstance(model.policy, DirectPolicy),
@@ -178,7 +179,7 @@ def _state(model: Model, env: ShakeTableVecEnv) -> dict[str, Any]:
         "optimisers": {n: _optimiser_state(v) for n, v in parameters.items() if _optimiser(model, n)},
         "variables": {name: _part(model, name) for name in variables if _part(model, name) is not None},
         "memory": _memory(model),
-        "replay_buffer": _replay(model.replay_buffer) if isinstance(model, OffPolicyAlgorithm) else None,
+        "replay_buffer": None if buffer is None else _replay(buffer),
         "tables": tables_state(env),
         "action_space": generator_state(model.action_space.np_random),
         "generators": global_generators(),
@@ -204,9 +205,13 @@ def _restore(model: Model, env: ShakeTableVecEnv, state: Mapping[str, Any]) -> N
     _restore_parameters(model, state)
     _restore_memory(model, env, state["memory"])
     if isinstance(model, OffPolicyAlgorithm):
+        assert model.replay_buffer is not None  # made with the model
         _refill(model.replay_buffer, state["replay_buffer"])
     restore_tables(env, state["tables"])
-    model.action_space._np_random = generator(state["action_space"])
+    actions = generator(state["action_space"])
+    if actions is None:
+        raise ValueError("action_space must describe a random generator")
+    model.action_space._np_random = actions
     set_global_generators(state["generators"])
 
 
@@ -270,16 +275,18 @@ def _filled(
 
 def _memory(model: Model) -> Any:
     if isinstance(model, RecurrentPPO):
-        return tuple(model._last_lstm_states)
+        states: Any = model._last_lstm_states  # None until it is set up, says sb3-contrib
+        return tuple(states)
     return model.memory if isinstance(model, AnalyticPolicyGradient) else None
 
 
 def _restore_memory(model: Model, env: ShakeTableVecEnv, memory: Any) -> None:
     if isinstance(model, RecurrentPPO):
-        like = [[part.cpu().numpy() for part in pair] for pair in model._last_lstm_states]
+        states: Any = model._last_lstm_states  # as in `_memory`
+        like = [[part.cpu().numpy() for part in pair] for pair in states]
         require_form(memory, like, "memory")
         pairs = (tuple(torch.from_numpy(part).to(model.device) for part in pair) for pair in memory)
-        model._last_lstm_states = RNNStates(*pairs)
+        model._last_lstm_states = RNNStates(*pairs)  # type: ignore[assignment]
     elif isinstance(model, AnalyticPolicyGradient):
         if memory is not None and (memory.ndim != 2 or len(memory) != env.num_envs):
             raise ValueError("memory has another shape")

@@ -21,7 +21,7 @@ from agents.learning.networks import (
     ScaleFreePolicy,
 )
 from agents.learning.vec_env import ShakeTableVecEnv
-from agents.training.algorithm_options import TD3Options, TQCOptions
+from agents.training.algorithm_options import SACOptions, TD3Options, TQCOptions
 from agents.training.config import TrainConfig
 from shake_env.scenario.scenario import Scenario
 
@@ -179,11 +179,10 @@ def _off_policy(
             policy_kwargs=policy,
             **common,
         )
-        with torch.no_grad():  # as SAC's actor below
-            model.actor.mu[-2].weight.mul_(0.01)
-            model.actor.mu[-2].bias.zero_()
+        _shrink(model.actor.mu[-2])
         model.actor_target.load_state_dict(model.actor.state_dict())
         return model
+    assert isinstance(chosen, SACOptions)
     entropy: dict[str, Any] = {"target_entropy": chosen.target_entropy, "ent_coef": "auto_0.001"}
     soft: SAC | TQC
     if isinstance(chosen, TQCOptions):
@@ -198,12 +197,17 @@ def _off_policy(
         )
     else:
         soft = WarmSAC("MlpPolicy", env, policy_kwargs=policy, **entropy, **common)
-    with torch.no_grad():  # for PPO's reason the actor starts with a small spread about zero
-        soft.actor.log_std.weight.mul_(0.01)
-        soft.actor.log_std.bias.fill_(chosen.initial_log_std)
-        soft.actor.mu.weight.mul_(0.01)
-        soft.actor.mu.bias.zero_()
+    _shrink(soft.actor.log_std, chosen.initial_log_std)
+    _shrink(soft.actor.mu)
     return soft
+
+
+def _shrink(layer: object, bias: float = 0.0) -> None:
+    """Let an actor's output begin, for PPO's reason, with a small spread about `bias`."""
+    assert isinstance(layer, torch.nn.Linear)
+    with torch.no_grad():
+        layer.weight.mul_(0.01)
+        layer.bias.fill_(bias)
 
 
 def _recurrent(

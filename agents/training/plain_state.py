@@ -219,7 +219,7 @@ def _require_tables(state: Mapping[str, Any], like: Mapping[str, Any], env: Shak
             fits = isinstance(each, list) and len(each) == env.num_envs
             _require(fits, "tables", f"must be {env.num_envs}")
         compared.append({**nest, "streams": None, "simulation": simulation})
-    require_form(*compared, "tables")
+    require_form(compared[0], compared[1], "tables")
     simulation = state["simulation"]
     noise, ground = simulation["noise"], simulation["excitation"]
     whole_number(ground["cursor"], "cursor", GROUND_STEPS)

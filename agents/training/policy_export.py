@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -92,6 +93,7 @@ def actor_of(model: BaseAlgorithm) -> Actor:
         If it has another architecture than ``shake train`` makes.
     """
     direct = 0
+    hidden: Iterable[torch.nn.Module]
     if isinstance(model, PPO | RecurrentPPO | AnalyticPolicyGradient):
         policy, output = model.policy, "clip"
         features, last = policy.pi_features_extractor, policy.action_net
@@ -102,8 +104,9 @@ def actor_of(model: BaseAlgorithm) -> Actor:
         features, hidden = model.actor.features_extractor, model.actor.latent_pi
         last, output = model.actor.mu, "tanh"
     elif isinstance(model, TD3):
-        features, hidden = model.actor.features_extractor, model.actor.mu[:-2]
-        last, output = model.actor.mu[-2], "tanh"  # its tanh is a module of its own, behind
+        layers = list(model.actor.mu)
+        features, hidden = model.actor.features_extractor, layers[:-2]
+        last, output = layers[-2], "tanh"  # its tanh is a module of its own, behind
     else:
         known = "PPO, RecurrentPPO, SAC, TD3, TQC, AnalyticPolicyGradient"
         raise PolicyFileError("algorithm", type(model).__name__, f"known: {known}")
@@ -126,10 +129,10 @@ def _memory(policy: Any, features: LinearFeatures) -> MemoryUnit | None:
             *(_numpy(part) for part in (gru.weight_hh, gru.bias_ih, gru.bias_hh)),
         )
     if isinstance(policy, LSTMPolicy):
-        lstm = policy.lstm_actor
+        lstm = dict(policy.lstm_actor.named_parameters())
         return LongShortTermUnit(
-            _numpy(lstm.weight_ih_l0 * features.sizes),
-            *(_numpy(part) for part in (lstm.weight_hh_l0, lstm.bias_ih_l0, lstm.bias_hh_l0)),
+            _numpy(lstm["weight_ih_l0"] * features.sizes),
+            *(_numpy(lstm[part]) for part in ("weight_hh_l0", "bias_ih_l0", "bias_hh_l0")),
         )
     return None
 

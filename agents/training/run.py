@@ -323,7 +323,7 @@ class _Watch(BaseCallback):
             self.passed = self._due(self.model.num_timesteps)
             self.evaluate()
         if now - self.saved >= self.config.checkpoint_interval:
-            save_checkpoint(self.run, self.model, self.tables)  # type: ignore[arg-type]
+            save_checkpoint(self.run, self.model, self.tables)  # type: ignore[arg-type]  # one of `Model`
             self.saved = now
         if now - self.told >= 0.5:
             self.tell()

@@ -265,10 +265,11 @@ class AnalyticPolicyGradient(BaseAlgorithm):
             in units of the environment's reward; the window; and what the critic sees at its H + 1 ends
             of control periods, nothing without a terminal value.
         """
-        weights = self.policy.action_net.weight
+        assert isinstance(self.policy.action_net, torch.nn.Linear)  # as for any Gaussian action
+        dtype = self.policy.action_net.weight.dtype
 
         def act(observation: torch.Tensor, memory: Kept) -> tuple[torch.Tensor, Kept, Kept]:
-            (actor, critic), memory = self._look(observation.to(weights.dtype), memory)
+            (actor, critic), memory = self._look(observation.to(dtype), memory)
             action = self.policy.action_net(self.policy.mlp_extractor.forward_actor(actor))[:, 0]
             return action, memory, critic if self.terminal_value else None
 
@@ -282,7 +283,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.memory = None if window.recalled is None else window.recalled.detach()
         seen: list[torch.Tensor] = []
         if window.aside is not None:
-            (_, critic), _ = self._look(window.shown.to(weights.dtype), window.recalled)
+            (_, critic), _ = self._look(window.shown.to(dtype), window.recalled)
             seen = [*window.aside, critic]
         steps = torch.arange(self.window, device=self.device)
         discount = (self.gamma**steps).to(window.rewards.dtype)

@@ -32,7 +32,7 @@ class _Segment(torch.autograd.Function):
         return outputs
 
     @staticmethod
-    @once_differentiable  # type: ignore[misc]
+    @once_differentiable
     def backward(ctx: Any, *slopes: Part) -> Any:
         saved, needed = ctx.saved_tensors, ctx.needs_input_grad[2:]
         inputs = [

@@ -67,7 +67,7 @@ class _Period(torch.autograd.Function):
         return tuple(map(torch.from_numpy, parts))
 
     @staticmethod
-    @once_differentiable  # type: ignore[misc]
+    @once_differentiable
     def backward(ctx: Any, *slopes: torch.Tensor) -> Any:
         state, current = (tensor.numpy() for tensor in ctx.saved_tensors)
         start, command = ctx.adjoint(state, current, *(slope.numpy() for slope in slopes))

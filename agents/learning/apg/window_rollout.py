@@ -89,7 +89,7 @@ class TorchTables:
     ) -> None:
         self.env = env
         self.like = torch.zeros(1, dtype=dtype, device=device)
-        self._base = as_like(env.base, self.like) if np.any(env.base) else None
+        self._base: torch.Tensor | None = as_like(env.base, self.like) if np.any(env.base) else None
         self._law = None if env.law is None else env.law.like(self.like)
         self._model: TableModel | None = None
         sensors = env.scenario.sensing.sensors or ()
@@ -143,7 +143,7 @@ class TorchTables:
         parts = []
         for first in range(0, steps, segment or steps):
             last = min(first + (segment or steps), steps)
-            follow = partial(self._follow, act, ahead, first, last)
+            follow: Callable[..., tuple[Kept, ...]] = partial(self._follow, act, ahead, first, last)
             # The last segment would be run again at once.
             again = segment and last < steps and torch.is_grad_enabled()
             part = checkpointed(follow, carried, parameters) if again else follow(*carried)
@@ -153,6 +153,7 @@ class TorchTables:
             None if column[0] is None else torch.cat(column) for column in zip(*parts, strict=True)
         )
         state, observation, _, law_memory, recalled, *left = carried
+        assert cost is not None and codes is not None and state is not None and observation is not None
         return self._window(
             cost,
             codes,
@@ -188,11 +189,12 @@ class TorchTables:
         model, memory = ahead.model, SensorMemory(*sensors)
         responses: list[PeriodResponse] = []
         currents: list[torch.Tensor] = []
-        aside: list[Kept] = []
+        aside: list[torch.Tensor] = []
         for t in range(first, last):
             shown, known = self._look(observation, law_memory, ahead.age + t)
             correction, recalled, put = act(shown, recalled)
-            aside.append(put)
+            if put is not None:
+                aside.append(put)
             action = self._action(correction, shown)
             if self._law is not None:
                 law_memory = self._law.keep(known, action)
@@ -215,7 +217,7 @@ class TorchTables:
         return (
             outcome.cost.total + outcome.soft_cost,
             outcome.broken,
-            None if aside[0] is None else torch.stack(aside),
+            torch.stack(aside) if aside else None,
             state,
             observation,
             kept,
@@ -266,7 +268,7 @@ class TorchTables:
     def _finite(model: TableModel, state: torch.Tensor) -> torch.Tensor:
         first = model.filter_states
         bound = OBSERVATION_BOUND * model.observation_scale[first : first + model.controlled]
-        inside = state[:, : model.controlled].abs() <= bound
+        inside: torch.Tensor = state[:, : model.controlled].abs() <= bound
         inside[:, TABLE_DISPLACEMENT] = True  # it may drift
         return inside.all(dim=-1)
 

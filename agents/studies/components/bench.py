@@ -263,7 +263,7 @@ def sinusoidal_table(
     found = a.table_mass * acceleration + a.table_damping * velocity
     found = found + a.table_stiffness * last[..., TABLE_DISPLACEMENT]
     found = found - a.piston_area * last[..., LOAD_PRESSURE] - shear
-    own_time = step * np.arange(samples + 1)
+    own_time = step * np.arange(samples + 1, dtype=np.float64)
     return TablePeriod(
         own_time, last[..., TABLE_DISPLACEMENT], velocity, acceleration, found,
         np.asarray([_falls(own_time, v) for v in velocity.T]),

@@ -249,8 +249,8 @@ def valve_figure(bench: Bench, folder: str | PathLike[str]) -> list[Path]:
                 position = np.full_like(pressure, side * opening * travel)
                 flow = valve_flow(bench, orifice, position, pressure * side)
                 straight = valve_flow(bench, linear, position, pressure * side)
-                label = {"label": f"{opening:.2f}"} if side > 0.0 else {}
-                unit.plot(side * pressure / supply, flow / rated, **label, **style)
+                entry = {"label": f"{opening:.2f}"} if side > 0.0 else {}
+                unit.plot(side * pressure / supply, flow / rated, **entry, **style)
                 shop.plot(1e-6 * side * pressure, LITRES_A_MINUTE * flow, **style)
                 unit.plot(
                     side * pressure / supply, straight / rated, color=GREY, linewidth=0.8, zorder=1

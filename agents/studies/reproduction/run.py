@@ -28,7 +28,8 @@ def _silent(_: str) -> None:
     """Report nothing."""
 
 
-@threadpool_limits.wrap(limits=1)  # matrices this small lose time to a second BLAS thread
+# Matrices this small lose time to a second BLAS thread. threadpoolctl has no types.
+@threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
 def reproduce(
     output: str | PathLike[str],
     progress: Callable[[str], None] = _silent,

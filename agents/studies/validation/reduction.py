@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from baselines.analysis.balanced_truncation import (
+    Match,
     Reduction,
     balanced_truncation,
     gain_curve,
@@ -23,7 +24,7 @@ from shake_env.model.plant import StateSpace
 TOLERANCE = 2e-3  # bound of the model that is simulated, relative to the closed loop's own norm
 MOST_ORDERS = 14  # rows of the table of orders
 RUNGE_KUTTA = 2.785  # |pole| * step below which the classical fourth-order method is stable, real pole
-METHODS = {"cut": "high", "settled": "low"}
+METHODS: dict[str, Match] = {"cut": "high", "settled": "low"}
 """Weak states cut off (exact at infinite frequency) or settled at once (exact at frequency zero)."""
 
 
@@ -46,7 +47,7 @@ def reduce_loop(table: str, loop: ClosedLoop) -> ReducedLoop:
     norm, where = h_infinity_norm(full)
     order = order_within(values, TOLERANCE * norm)
     rows = [_row(full, n, norm) for n in _orders(values, order)]
-    chosen = {method: balanced_truncation(full, order, match) for method, match in METHODS.items()}  # type: ignore[arg-type]
+    chosen = {method: balanced_truncation(full, order, match) for method, match in METHODS.items()}
     fastest = float(np.abs(loop.poles[0]))
     reduced_fastest = float(np.max(np.abs(np.linalg.eigvals(chosen["settled"].system.A))))
     reach = gramian_factor(loop.system.A, loop.system.B)
@@ -96,7 +97,7 @@ def _orders(values: FloatArray, chosen: int) -> list[int]:
 def _row(full: StateSpace, order: int, norm: float) -> dict[str, Any]:
     row: dict[str, Any] = {"order": order}
     for method, match in METHODS.items():
-        found = balanced_truncation(full, order, match)  # type: ignore[arg-type]
+        found = balanced_truncation(full, order, match)
         row["bound"] = found.error_bound / norm
         row[f"error_{method}"] = h_infinity_norm(full, found.system)[0] / norm
         row[f"fastest_pole_{method}"] = float(np.max(np.abs(np.linalg.eigvals(found.system.A))))

@@ -155,6 +155,7 @@ def smooth_target(scenario: Scenario, quake: Earthquake, samples: int) -> FloatA
     step = scenario.physics_step
     if isinstance(quake.motion, RecordedMotion):
         return target_history(quake.motion, step).acceleration[: samples + 1]
+    assert isinstance(quake.motion, FilteredNoise)  # a group shakes one motion at a time
     fine = replace(scenario, control_rate=1.0 / step)
     ground = scenario.ground
     excitation = Excitation(fine.discrete, 1)
@@ -223,7 +224,7 @@ def continuous_response(
         "storey_drift": _largest(found.outputs, loop, "drift_"),
         "reference_drift": _largest(found.outputs, loop, "reference_drift_"),
     }
-    return Motion(name, step * np.arange(len(target)), signals), found
+    return Motion(name, step * np.arange(len(target), dtype=np.float64), signals), found
 
 
 def _largest(outputs: FloatArray, loop: ClosedLoop, prefix: str) -> FloatArray:

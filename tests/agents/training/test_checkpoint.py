@@ -143,6 +143,7 @@ def altered(file, change):
         lambda state, arrays: state["tables"]["streams"].pop(),
         lambda state, arrays: state["tables"]["streams"][0].update(bits="MT19937"),
         lambda state, arrays: state["generators"]["numpy"].update(pos=-5),
+        lambda state, arrays: state.update(action_space=None),
         lambda state, arrays: arrays.update(
             {"state.tables.returns": np.zeros(3)} if "state.tables.returns" in arrays else {}
         ),
