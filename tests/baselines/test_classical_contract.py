@@ -69,6 +69,7 @@ def test_batch_is_single_and_memory_begins_afresh(name, shown):
         assert np.all(np.abs(action) <= 1.0)
         batch.append(action[:, 0])
     batch = np.stack(batch)
+    assert np.all(np.std(batch, axis=0) > 1e-5)  # it acts in each
     for lane, first in ((0, 0), (1, 20), (2, 0)):
         memory = None
         for t in range(first, len(observed)):

@@ -1,6 +1,7 @@
 """Commands do what was asked, or say what they do instead."""
 
 import json
+import re
 
 import pytest
 
@@ -63,21 +64,24 @@ def test_bench_runs_as_many_earthquakes_as_asked_or_says_so(bench, capsys, tmp_p
     assert bench("--earthquakes", "2") == 0
     assert "2 earthquakes" in capsys.readouterr().out
     assert bench("--earthquakes", "2") == 0
-    assert "made before with 2 earthquakes" in capsys.readouterr().out.replace("\n", " ")
+    assert "2 earthquakes" in capsys.readouterr().out.replace("\n", " ")
     assert bench("--earthquakes", "3") == 2
-    assert "was made with 2 earthquakes, not 3" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "2 earthquakes" in err and re.search(r"\b3\b", err) and "--again" in err
     assert bench("--earthquakes", "3", "--again", "--json") == 0
     assert json.loads(capsys.readouterr().out)["linear"]["rows"][0]["earthquakes"] == 3
     file = tmp_path / "bench_linear.json"
     file.write_text(file.read_text()[:100])
     assert bench("--earthquakes", "3") == 2
-    assert "is no complete JSON" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert file.name in err and "JSON" in err
 
 
 def test_bench_names_other_controllers_and_unknown_scenarios(bench, capsys):
     assert bench("--earthquakes", "2") == 0
     assert bench("--earthquakes", "2", "--controllers", "lqr") == 2
-    assert "was made with the controllers none, not lqr" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "none" in err and "lqr" in err and "--again" in err
     assert main(["bench", "--scenarios", "linaer"]) == 2
     assert "did you mean 'linear'" in capsys.readouterr().err
 
@@ -102,7 +106,8 @@ def test_committed_results_are_still_tables():
         assert "| controller |" in markdown(result)
         assert difference(result, result["scenario"], 200, CONTROLLERS, None) == ""
     assert "is of linear" in difference(results[0], "yielding", 200, CONTROLLERS, None)
-    assert "200 earthquakes, not 20" in difference(results[0], "linear", 20, CONTROLLERS, None)
+    said = difference(results[0], "linear", 20, CONTROLLERS, None)
+    assert re.findall(r"\b\d+\b", said) == ["200", "20"]
 
 
 def test_the_table_says_where_values_come_from(capsys):

@@ -203,6 +203,10 @@ def constructed(costs, groups=None, shear=None, **changes):
     return Comparison(summaries, episodes, fidelities, {}, reference, "quake 0", [], {}, list(groups))
 
 
+def numbers(sentence):
+    return [float(number) for number in re.findall(r"-?\d+(?:\.\d+)?", sentence)]
+
+
 def test_the_winner_is_who_costs_least_and_by_how_much():
     found = verdict(
         constructed(
@@ -211,16 +215,14 @@ def test_the_winner_is_who_costs_least_and_by_how_much():
         make_scenario("laboratory"),
     )
     assert found.winner == "new"
-    assert found.wins == (
-        "On the 4 filtered noise earthquakes new wins: it costs 20.0 % less than lqr (95 % interval "
-        "20.0 to 20.0 %, beyond chance)."
-    )
-    assert found.loses == (
-        "new loses nowhere here: no other is ahead on any earthquake or in either error."
-    )
-    assert found.limits.endswith("who knew the plant and the coming target would cost 95 % less.")
-    assert "No limit is near (the current comes closest, at 50 %)" in found.limits
-    assert "off by 40.0 % and its base shear by 10.0 %" in found.limits
+    # Earthquakes; the gain; the level of its interval, and the interval.
+    assert numbers(found.wins) == [4.0, 20.0, 95.0, 20.0, 20.0]
+    assert "filtered noise" in found.wins and "new" in found.wins and "lqr" in found.wins
+    assert numbers(found.loses) == [] and "lqr" not in found.loses  # in nothing, against nobody
+    # The current's share of its limit; both errors; share of ordinates and what they may be off; what
+    # the bound saves.
+    assert numbers(found.limits)[:3] == [50.0, 40.0, 10.0] and numbers(found.limits)[-1] == 95.0
+    assert "current" in found.limits and "stroke" not in found.limits
 
 
 def test_a_gap_that_chance_could_make_is_called_one():
@@ -229,8 +231,9 @@ def test_a_gap_that_chance_could_make_is_called_one():
         make_scenario("laboratory"),
     )
     assert found.winner == "new"
-    assert "contains zero: chance alone could explain it" in found.wins
-    assert "on 2 of these 4 earthquakes taken one by one" in found.loses
+    *_, low, high = numbers(found.wins)
+    assert low < 0.0 < high and "chance" in found.wins and "beyond chance" not in found.wins
+    assert numbers(found.loses) == [2.0, 4.0]  # lost one by one, of so many
 
 
 def test_where_the_winner_is_behind_is_said():
@@ -241,28 +244,32 @@ def test_where_the_winner_is_behind_is_said():
     )
     found = verdict(comparison, make_scenario("laboratory"), {"lqr": "LQR", "new": "New"}.__getitem__)
     assert found.group == "filtered noise"
-    assert "on the 1 records, where LQR is ahead and it costs 2.00 times as much" in found.loses
-    assert "in base shear, where its error is 10.0 % and that of LQR 5.0 %" in found.loses
+    # On one record at twice the cost; in base shear, its error and LQR's.
+    assert numbers(found.loses) == [1.0, 2.0, 10.0, 5.0]
+    assert found.loses.count("LQR") == 2 and "records" in found.loses and "base shear" in found.loses
+    assert "acceleration" not in found.loses
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "word", "first"),
     [
-        ({"peak_displacement": 0.075}, "What limits new is the stroke, which reaches 99 % of its limit"),
-        ({"peak_current": 0.04}, "What limits new is the current, which reaches 100 % of its limit"),
-        ({"broken_limit": "table_velocity"}, "What limits new is the table: 2 of 2 tests ended"),
+        ({"peak_displacement": 0.075}, "stroke", [99.0, 40.0]),  # of its limit [%]; then the error
+        ({"peak_current": 0.04}, "current", [100.0, 40.0]),
+        ({"broken_limit": "table_velocity"}, "limit", [2.0, 2.0]),  # tests that ended, of so many
     ],
 )
-def test_what_limits_is_named(changes, words):
+def test_what_limits_is_named(changes, word, first):
     comparison = constructed({"lqr": [1.0, 2.0], "new": [0.5, 1.0]}, **changes)
-    assert words in verdict(comparison, make_scenario("laboratory")).limits
+    limits = verdict(comparison, make_scenario("laboratory")).limits
+    assert numbers(limits)[:2] == first and word in limits and "new" in limits
+    assert sum(each in limits for each in ("stroke", "current", "velocity")) == (word != "limit")
 
 
 def test_one_controller_or_one_earthquake_is_no_contest():
     alone = verdict(constructed({"lqr": [1.0, 2.0]}), make_scenario("laboratory"))
-    assert "only lqr was run" in alone.wins
+    assert numbers(alone.wins) == [2.0] and "lqr" in alone.wins
     single = verdict(constructed({"lqr": [1.0], "new": [0.5]}), make_scenario("laboratory"))
-    assert "one earthquake gives no interval" in single.wins
+    assert numbers(single.wins) == [1.0, 50.0] and "interval" in single.wins  # the gain, no interval
 
 
 # --- page -------------------------------------------------------------------------------------------

@@ -2,6 +2,8 @@ import ast
 import csv
 import json
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -197,10 +199,19 @@ def test_the_document_holds_the_tables_that_the_command_writes(run):
 
 
 def test_reproduction_needs_no_learning_library():
-    folder = Path(agents.studies.reproduction.run.__file__).parent
-    for name in ("run.py", "tables.py", "figures.py", "../../figure_style.py"):
-        for node in ast.walk(ast.parse((folder / name).read_text())):
-            imported = [a.name for a in node.names] if isinstance(node, ast.Import) else []
-            if isinstance(node, ast.ImportFrom):
-                imported = [node.module or ""]
-            assert not {m.split(".")[0] for m in imported} & {"torch", "stable_baselines3"}
+    """Neither where its modules are imported, in a process of its own, nor inside their functions."""
+    learning = {"torch", "stable_baselines3", "sb3_contrib"}
+    files = sorted(Path(agents.studies.reproduction.run.__file__).parent.glob("*.py"))
+    assert {"run.py", "tables.py", "figures.py"} <= {file.name for file in files}
+    imported = set()
+    for file in files:
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                imported.add(node.module.split(".")[0])
+    assert {"numpy", "shake_env"} <= imported and not imported & learning
+    names = ", ".join(f"agents.studies.reproduction.{file.stem}" for file in files)
+    code = f"import sys, {names}; print(sorted({learning!r} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"

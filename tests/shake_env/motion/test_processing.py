@@ -89,8 +89,16 @@ def test_senseless_bands_are_refused(band, field):
 
 @pytest.mark.parametrize("points", [2, 3, 15, 16])
 def test_short_records_can_be_filtered(points):
-    found = filtered(made(np.ones(points)), highpass=1.0, lowpass=20.0)
-    assert np.isfinite(found.acceleration).all()
+    level = made(np.ones(points))
+    assert filtered(level, lowpass=20.0).acceleration == pytest.approx(np.ones(points), abs=1e-9)
+    for band in ({"highpass": 1.0}, {"highpass": 1.0, "lowpass": 20.0}):
+        assert np.max(np.abs(filtered(level, **band).acceleration)) < 1e-9
+    values = np.random.default_rng(0).normal(size=points)
+    found, thrice = (
+        filtered(made(factor * values), highpass=1.0, lowpass=20.0).acceleration for factor in (1.0, 3.0)
+    )
+    assert np.max(np.abs(found)) > 0.1
+    assert thrice == pytest.approx(3.0 * found, rel=1e-9)
 
 
 def test_resampling_keeps_the_motion_and_says_so():

@@ -8,6 +8,7 @@ import re
 import threading
 import time
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -99,12 +100,19 @@ def test_many_hostile_texts_take_a_limited_time_per_byte():
 
 
 def patterns():
-    for module_info in pkgutil.iter_modules(shake_env.records.__path__):
-        module = importlib.import_module(f"shake_env.records.{module_info.name}")
+    """Yield the compiled patterns of all modules of the readers, each once."""
+    yielded = set()
+    for module_info in pkgutil.walk_packages(shake_env.records.__path__, "shake_env.records."):
+        module = importlib.import_module(module_info.name)
         for name, value in vars(module).items():
             for pattern in value if isinstance(value, tuple) else (value,):
-                if isinstance(pattern, re.Pattern):
-                    yield pytest.param(pattern, id=f"{module_info.name}.{name}")
+                if isinstance(pattern, re.Pattern) and pattern not in yielded:
+                    yielded.add(pattern)
+                    short = module_info.name.removeprefix("shake_env.records.")
+                    yield pytest.param(pattern, id=f"{short}.{name}")
+
+
+PATTERNS = list(patterns())
 
 
 def flat(parsed):
@@ -137,9 +145,19 @@ def backtracking(parsed, repeated=False):
     return False
 
 
-@pytest.mark.parametrize("pattern", list(patterns()))
+@pytest.mark.parametrize("pattern", PATTERNS)
 def test_no_pattern_of_the_readers_has_adjacent_quantifiers(pattern):
     assert not backtracking(re._parser.parse(pattern.pattern, pattern.flags))
+
+
+def test_the_patterns_of_every_room_of_the_readers_are_checked():
+    compiling = {
+        ".".join(path.relative_to(path.parents[1]).with_suffix("").parts)
+        for path in Path(shake_env.records.__path__[0]).glob("*/*.py")
+        if "re.compile(" in path.read_text(encoding="utf-8")
+    }
+    checked = {parameter.id.rpartition(".")[0] for parameter in PATTERNS}
+    assert {"formats.peer", "text.titles"} <= compiling <= checked
 
 
 def test_the_check_of_patterns_finds_adjacent_quantifiers():

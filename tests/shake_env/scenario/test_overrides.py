@@ -209,12 +209,19 @@ def test_the_noise_of_a_limited_table_does_not_scale_its_records():
 
 def test_validation_takes_the_linear_part_of_any_scenario():
     from agents.cli.validate import linear_part
-    from baselines.lqr.sampled import lqr
+    from baselines.lqr.sampled import lqr, sampled_lqr
 
     for name in ("laboratory", "unknown-specimen", "yielding"):
         part = linear_part(make_scenario(name))
         assert not part.nonlinearity.active and not part.uncertainty.active and part.delay == 0.0
-        assert lqr(part) is not None  # shows the full state
+        # The full state is shown: every entry of the observation acts as the gain says.
+        gain = sampled_lqr(part.discrete, part.stage_cost).gain * part.plant.state_scale
+        for entry in range(len(gain)):
+            observation = np.zeros(part.observation.size)
+            observation[entry] = 0.1 * part.current_limit / np.max(np.abs(gain))
+            wanted = -gain[entry] * observation[entry] / part.current_limit
+            assert lqr(part).predict(observation)[0] == pytest.approx(wanted, rel=1e-5, abs=1e-12)
+        assert part.observation.size == len(gain)
     assert linear_part(make_scenario()) == make_scenario()
 
 
