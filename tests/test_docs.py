@@ -149,7 +149,8 @@ def test_generated_pages_are_current(generator):
 def test_every_module_is_on_an_api_page(generator):
     for package in PACKAGES:
         page = (DOCS / "api" / f"{package}.md").read_text(encoding="utf-8")
-        assert re.findall(r"^::: ([\w.]+)$", page, re.MULTILINE) == list(modules(package))
+        listed = re.findall(r"^::: ([\w.]+)$", page, re.MULTILINE)
+        assert sorted(listed) == sorted(modules(package))
 
 
 def test_the_field_table_says_a_unit_for_nearly_every_number(generator):
