@@ -1,4 +1,4 @@
-"""New."""
+"""One controller for each environment of a batch, and controllers with rescaled observations."""
 
 from __future__ import annotations
 

@@ -236,14 +236,12 @@ _CUTOFF = Tunable(10.0, 200.0, 40.0, natural="high")  # past half the control ra
 _ALPHA = Tunable(0.003, 30.0, 1.0, natural="low")  # without adaptation
 
 BASELINES: dict[str, Baseline] = {
-    "none": Baseline(lambda scenario: NoControl(), "zero current: the table that does nothing"),
+    "none": Baseline(lambda scenario: NoControl(), "the uncontrolled table (zero valve current)"),
     "lqr-published": Baseline(
         _published, "the paper's LQR, designed in continuous time and held between samples"
     ),
     "lqr": Baseline(lqr, "sampled-data LQR on the full state, without preview"),
-    "preview-lqr": Baseline(
-        _preview, "LQR that sees the coming target and minds the table's place", {"position": _POSITION}
-    ),
+    "preview-lqr": Baseline(_preview, "preview LQR with a displacement weight", {"position": _POSITION}),
     "lqr-integral": Baseline(
         _integral,
         "LQR with integral action on displacement",
@@ -257,7 +255,7 @@ BASELINES: dict[str, Baseline] = {
     ),
     "lqg-accommodating": Baseline(
         partial(_lqg, accommodate=True),
-        "lqg that makes up for the disturbance it estimates",
+        "lqg with compensation of the estimated disturbance",
         {"position": _POSITION, "doubt": _DOUBT},
     ),
     "feedforward": Baseline(
@@ -286,7 +284,7 @@ BASELINES: dict[str, Baseline] = {
     ),
     "adaptive": Baseline(
         certainty_equivalence,
-        "finds out which specimen it is, and drives it by its own preview LQR",
+        "certainty-equivalence control: preview LQR for the identified specimen",
         {"position": Tunable(0.001, 1.0, 0.05, natural="high")},
     ),
     "pid": Baseline(

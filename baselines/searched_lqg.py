@@ -2,7 +2,7 @@
 
 Controllers of the catalogue keep the scenario's own objective and nominal model, and leave one to three
 values free. Here the law's objective, the specimen that it is designed for, what its filter believes of
-the model's errors, how much of the estimated disturbance is made up for, and the loop delay are free at
+the model's errors, the gain of the disturbance compensation, and the loop delay are free at
 once. What a scenario does not have (a filter, where all is seen) has no parameter.
 """
 

@@ -1,9 +1,9 @@
 """Rates of what is compared, measured in turns.
 
-On a shared machine two numbers are only comparable if they met the same neighbours: each call gets a
-short spell in turn, and the median over the spells counts. The clock is the process's own CPU time (one
-thread does all the work), so that being put aside for a neighbour is not counted; what a neighbour takes
-of caches and memory is.
+On a shared machine two numbers are comparable only under the same load: each call runs for a short
+spell in turn, and the median over the spells is reported. The clock is the process's own CPU time (one
+thread), so that time spent waiting for the processor is not counted; slowdown by contention for caches
+and memory is.
 """
 
 from __future__ import annotations

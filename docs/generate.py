@@ -1,4 +1,4 @@
-"""Write the reference pages that come from code: scenarios, controllers, columns, command line, API.
+"""Write the reference pages that come from code, and the README's table of results from their files.
 
     python docs/generate.py
 
@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import ast
 import inspect
+import json
 import math
 import re
 import sys
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 DOCS = Path(__file__).parent
 ROOT = DOCS.parent
@@ -22,6 +24,8 @@ sys.path.insert(0, str(ROOT))  # this checkout, whatever is installed
 from agents.cli.command_options import FolderOptions  # noqa: E402
 from agents.cli.commands import COMMANDS  # noqa: E402
 from agents.evaluation.results import COLUMNS  # noqa: E402
+from agents.reporting.evaluation_tables import cost_interval, interval  # noqa: E402
+from agents.reporting.markdown_blocks import with_block  # noqa: E402
 from baselines.catalogue import BASELINES  # noqa: E402
 from baselines.registry import reference_name, tuned_parameters  # noqa: E402
 from shake_env import SCENARIO_NAMES, make_scenario  # noqa: E402
@@ -48,6 +52,7 @@ TOPICS = {
         "studies", "cli",
     ),
 }  # fmt: skip
+HEADLINE = ("clairvoyant", "free", "ppo", "analytic", "analytic-force")  # in the README
 DESIGNABLE = ("linear", "as-printed", "laboratory", "unknown-specimen", "yielding")
 
 
@@ -275,6 +280,42 @@ def api(package: str) -> str:
     return "\n".join(text)
 
 
+def headline() -> str:
+    """Return the README's two tables of results, costs and base-shear errors, from the result files."""
+    costs, errors = [], []
+    for name in SCENARIO_NAMES:
+        text = (DOCS / "results" / f"evaluation_{name}.json").read_text(encoding="utf-8")
+        result = json.loads(text)
+        entries = {row["controller"]: row for row in result["rows"]}
+        reference = result["reference"]
+        costs.append((
+            f"`{name}`",
+            f"`{reference}`",
+            *(cost_interval(entries[each]["reference_cost"]) if each in entries else "-"
+              for each in HEADLINE),
+        ))  # fmt: skip
+        errors.append(
+            (
+                f"`{name}`",
+                *(
+                    shear_error(entries[each]) if each in entries else "-"
+                    for each in (reference, *HEADLINE)
+                ),
+            )
+        )
+    columns = [f"`{name}`" for name in HEADLINE]
+    return "\n".join([
+        table(("cost / reference", "reference", *columns), costs),
+        table(("base-shear error [% rms]", "reference", *columns), errors),
+    ])  # fmt: skip
+
+
+def shear_error(row: dict[str, Any]) -> str:
+    """Return a row's base-shear error in percent and, where there are any, its failed tests."""
+    failed = f", {row['failures']} of {row['episodes']} failed" if row["failures"] else ""
+    return interval(row["base_shear_rms_error"], 1, 100.0) + failed
+
+
 def pages() -> dict[Path, str]:
     """Return every generated page by its path."""
     made = {
@@ -282,6 +323,7 @@ def pages() -> dict[Path, str]:
         DOCS / "reference" / "controllers.md": controllers(),
         DOCS / "reference" / "columns.md": columns(),
         DOCS / "reference" / "command-line.md": command_line(),
+        ROOT / "README.md": with_block(ROOT / "README.md", "headline", headline()),
     }
     return made | {DOCS / "api" / f"{package}.md": api(package) for package in PACKAGES}
 

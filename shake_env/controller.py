@@ -63,7 +63,7 @@ def decide(
 
 
 class NoControl:
-    """Zero current: the table that does nothing."""
+    """Zero valve current: the uncontrolled table."""
 
     def predict(
         self,

@@ -22,12 +22,14 @@ def blocks(page, slow=False):
     return [code for long, code in found if slow or not long]
 
 
-def test_the_ten_lines_run(capsys):
-    (code,) = blocks(ROOT / "README.md")
-    exec(compile(code, "README.md", "exec"), {})
-    out = capsys.readouterr().out
-    cost = float(re.search(r"mean stage cost ([\d.]+)", out)[1])
+def test_the_readmes_python_runs(capsys):
+    control, training = blocks(ROOT / "README.md")
+    exec(compile(control, "README.md", "exec"), {})
+    cost = float(re.search(r"mean stage cost ([\d.]+)", capsys.readouterr().out)[1])
     assert 0.1 < cost < 0.3
+    exec(compile(training, "README.md", "exec"), {})
+    ratio = float(re.search(r"ratio ([\d.]+)", capsys.readouterr().out)[1])
+    assert ratio > 1.0  # LQR is optimal, and this training is short
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES[1:] if blocks(page)], ids=lambda p: p.name)

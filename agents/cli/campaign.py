@@ -18,7 +18,7 @@ from shake_env.errors import ParameterError, ShakeError
 
 @dataclass(frozen=True, kw_only=True)
 class RunCampaign(CommandOptions):
-    """Train every recipe with every seed and evaluate what comes of it; goes on where it stopped.
+    """Train every recipe with every seed and evaluate the policies; resume an interrupted campaign.
 
     Try:
       shake campaign --dry-run

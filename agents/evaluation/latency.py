@@ -1,4 +1,4 @@
-"""New."""
+"""Processor time of one decision."""
 
 from __future__ import annotations
 

@@ -219,7 +219,7 @@ class NoisyState:
 def altered(
     controller: Controller, nominal: Scenario, values: Mapping[str, float], seeds: Sequence[int]
 ) -> tuple[Scenario, Controller]:
-    """Return what is driven instead of the nominal scenario, and the controller that is not told.
+    """Return the perturbed scenario and the controller, which still observes signals in nominal units.
 
     Parameters
     ----------

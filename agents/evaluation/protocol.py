@@ -208,7 +208,7 @@ def evaluate(
     ------
     ParameterError
         If fewer than two earthquakes are asked for, two rows have one name or one a controller's, or
-        the table that does nothing fares otherwise than in the `known` result.
+        the costs of the uncontrolled table differ from those of the `known` result.
     """
     if earthquakes < 2:
         raise ParameterError("earthquakes", earthquakes, "an interval needs at least 2")
@@ -303,7 +303,7 @@ def _check_same(found: dict[str, Any], before: dict[str, Any] | None) -> None:
     # Processors round differently, and 7 digits are written.
     if before is None or not np.allclose(found["cost"], before["cost"], rtol=1e-5):
         raise ParameterError(
-            "known", WITNESS, "fares otherwise now, so that no row holds: evaluate all anew (--again)"
+            "known", WITNESS, "its costs differ from the stored ones: evaluate all rows again (--again)"
         )
 
 

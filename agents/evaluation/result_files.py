@@ -1,4 +1,4 @@
-"""New."""
+"""Result files of the evaluation protocol: written whole, read with every field checked."""
 
 from __future__ import annotations
 

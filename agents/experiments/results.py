@@ -46,14 +46,14 @@ def evaluate_arena(
 
     A row holds while there is no policy for it that it was not made of, and a rival's while it is in the
     file, tuned as it is now: a row whose policies lie on no disk here any more stays. What does not hold
-    is run, and with it reference and yardstick, which the costs of all rows are held against, and the
-    table that does nothing, which must fare as it did. The code's version is not asked, for most changes
-    of it touch no figure: `again` asks for all rows anew, of the policies that there are.
+    is run, and with it reference and normaliser, which the costs of all rows are divided by, and the
+    uncontrolled table, whose costs must match the stored ones. The code's version is not compared:
+    most of its changes affect no figure. `again` evaluates all rows, of the policies that there are.
 
     Raises
     ------
     ParameterError
-        If rows are to stay, but the table that does nothing fares otherwise than when those were made;
+        If rows are to stay, but the costs of the uncontrolled table differ from the stored ones;
         or if a row of some policies would become one of fewer others.
     """
     folder, results = Path(folder), Path(results)
@@ -117,8 +117,8 @@ def _holds(row: Contestant, known: dict[str, Any], scenario: Scenario) -> bool:
     raise ParameterError(
         "policies",
         row.name,
-        f"{here.total()} lie here, others than the {there.total()} of the known row, which they would "
-        "replace: train as many seeds, move them away, or evaluate all rows anew (--again)",
+        f"{here.total()} in the folder, not all of them among the {there.total()} of the stored row, "
+        "which they would replace: train as many seeds, move them away, or evaluate all rows (--again)",
     )
 
 

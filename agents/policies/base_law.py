@@ -49,8 +49,7 @@ def base_row(law: BaseLaw, scenario: Scenario, tuned_on: Scenario | None = None)
     ``flow`` is the current whose steady flow is what the table's own velocity uses,
     ``u = A_p v_a / (K_q K_v)``: it leaves the policy the flow that accelerates the table. ``lqr`` is the
     sampled-data LQR, so that the policy is a residual on top of it (Silver et al., Residual Policy
-    Learning, 2018); ``preview-lqr`` is the one that sees the coming target, and ``free`` what a search
-    over such laws found.
+    Learning, 2018); ``preview-lqr`` adds target preview, and ``free`` is the design found by search.
     """
     if law == "none":
         return np.zeros(scenario.observation.size)

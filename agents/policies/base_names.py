@@ -1,4 +1,4 @@
-"""New."""
+"""Names of the base controllers that a policy may correct; imports nothing heavy."""
 
 from __future__ import annotations
 

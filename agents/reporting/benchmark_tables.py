@@ -1,4 +1,4 @@
-"""New."""
+"""Tables of the classical benchmark, for the documentation."""
 
 from __future__ import annotations
 

@@ -29,10 +29,10 @@ def markdown(result: dict[str, Any]) -> str:
         cells = [
             row["controller"],
             str(row["runs"]) if row["sources"] else "-",
-            _cost(row["relative_cost"]),
-            _cost(row["interquartile_mean"]),
-            _cost(row["worst_twentieth"]),
-            *([] if same else [_cost(row["reference_cost"])]),
+            cost_interval(row["relative_cost"]),
+            cost_interval(row["interquartile_mean"]),
+            cost_interval(row["worst_twentieth"]),
+            *([] if same else [cost_interval(row["reference_cost"])]),
             interval(row["probability_of_improvement"], 2),
             interval(row["base_shear_rms_error"], 2, 100.0),
             *(interval(row[n], 3 if n == "optimality" else 1, _scale(n)) for n in shown),
@@ -54,7 +54,8 @@ def markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _cost(found: dict[str, float]) -> str:
+def cost_interval(found: dict[str, float]) -> str:
+    """Return a relative cost as `interval` does: three digits after the point, one from 10 on."""
     return interval(found, 3 if found["high"] < 10.0 else 1)
 
 

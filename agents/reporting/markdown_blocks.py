@@ -16,7 +16,18 @@ def has_place(page: str | PathLike[str], place: str) -> bool:
 
 
 def put(page: str | PathLike[str], place: str, text: str, end: str | None = None) -> None:
-    r"""Replace what stands on a page between ``<!-- PLACE -->`` and ``<!-- end END -->``.
+    """Write `with_block` of the same arguments into the page.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such page, or it lacks one of the comments.
+    """
+    write_text(Path(page), with_block(page, place, text, end))
+
+
+def with_block(page: str | PathLike[str], place: str, text: str, end: str | None = None) -> str:
+    r"""Return a page with another text between ``<!-- PLACE -->`` and ``<!-- end END -->``.
 
     Parameters
     ----------
@@ -41,7 +52,7 @@ def put(page: str | PathLike[str], place: str, text: str, end: str | None = None
     if not (found and closed):
         raise ParameterError("page", str(page), f"put the lines {begin.strip()} and {close} in it")
     body = f"\n{text.strip()}\n\n" if text.strip() else ""
-    write_text(page, before + begin + body + close + after)
+    return before + begin + body + close + after
 
 
 def _begin(place: str) -> str:

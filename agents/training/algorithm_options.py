@@ -46,8 +46,8 @@ class PPOOptions(ProximalOptions):
     """Whether the actor has no biases, so that half the motion gets half the current. Right for a linear
     plant; friction and limits need biases."""
     critic_first: float = 0.0
-    """Share of the run in which the critic alone learns. A policy that is gone on from has none, and
-    advantages against a critic that knows nothing spoil it."""
+    """Share of the run in which the critic alone is trained. A warm-started policy has no trained
+    critic; advantages from an untrained critic degrade it."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -250,7 +250,7 @@ def _go_on(
 
 
 def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
-    """Return the scenario with training's episode length and its early end of hopeless episodes."""
+    """Return the training scenario: shortened episodes and a tighter bound on the scaled state."""
     made = make_training_scenario(
         scenario,
         horizon=config.lookahead,

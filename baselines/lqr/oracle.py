@@ -1,11 +1,11 @@
-"""The controller that knows too much: true plant, full state, half a second of the target, no delay.
+"""Oracle controller: true plant parameters, full state, 0.5 s target preview, no loop delay.
 
-Regret is counted from what it reaches. On a linear plant where no place is minded no causal law with
-these samples of the target does better; one that knew the target between the control instants, too,
-could: on the linear scenario LQR's cost falls to 0.22 of itself here, and to 0.14 with the whole future
-known. With friction or limits it is a law that knows everything, with the engineer's feed-forward, and a
-better one may exist; of yielding storeys it knows the elastic specimen. Where the stroke is limited it
-minds its place, which costs: a looser one than it has would save 2 to 4 %.
+It is the reference for regret. On a linear plant without a displacement weight no causal law with the
+same samples of the target has a lower cost. One that also knew the target between the control instants
+could: on the linear scenario the oracle has 0.22 of LQR's cost, and 0.14 with the whole future known.
+With friction or limits it is preview LQR with known parameters and friction and orifice feed-forward,
+and a better law may exist; for yielding storeys it uses the elastic specimen. Where the stroke is
+limited it has a displacement weight; a smaller one would reduce its cost by 2 to 4 %.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""LQR that sees the coming target: exact finite preview, and the floor that full foresight sets.
+"""Preview LQR: exact finite preview, and the lower bound with the whole future known.
 
 The feedback is that of `sampled_lqr`; what preview changes is the expectation of the feed-forward
 (`baselines.lqr.tracking_problem`). Given the filter state and p samples of the coming y~, the white

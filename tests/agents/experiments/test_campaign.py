@@ -135,12 +135,12 @@ def test_an_evaluation_holds_until_its_policies_change(campaigned, tmp_path):
     fewer = later["identity"]["rows"]["ppo"]
     later["identity"]["rows"]["sac"] = ["0" * 64, "1" * 64]
     file.write_text(json.dumps(later))
-    with pytest.raises(ParameterError, match="1 lie here, others than the 2"):
+    with pytest.raises(ParameterError, match="1 in the folder, not all of them among the 2"):
         evaluate_arena(arena, folder, tmp_path / "results")
     later["identity"]["rows"] = {"ppo": fewer}
     later["episodes"]["none"]["cost"][0][0] *= 1.01
     file.write_text(json.dumps(later))
-    with pytest.raises(ParameterError, match="fares otherwise now"):
+    with pytest.raises(ParameterError, match="its costs differ"):
         evaluate_arena(arena, folder, tmp_path / "results")
     other = replace(arena, options=ScenarioOptions(duration=1.0, set=("objective.force_weight=2",)))
     with pytest.raises(ParameterError, match="no result of linear as it is asked for now"):

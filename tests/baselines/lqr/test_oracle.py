@@ -1,4 +1,4 @@
-"""The controller that knows too much, and one controller a lane."""
+"""The oracle, and one controller a lane."""
 
 from dataclasses import replace
 
