@@ -78,6 +78,9 @@ class TunedValues:
         return TunedValues(self.source, tuple(ordered))
 
 
+LARGEST = 16 * 2**20  # [byte] of a file of tuned values; that of the package has 30 000
+
+
 def read_tuned(file: str | os.PathLike[str]) -> TunedValues:
     """Read a file of tuned values.
 
@@ -86,10 +89,16 @@ def read_tuned(file: str | os.PathLike[str]) -> TunedValues:
     ParameterError
         If it cannot be read, or is no such file.
     """
+    path = Path(file)
     try:
-        text = Path(file).read_text(encoding="utf-8")
+        if path.exists() and not path.is_file():  # a pipe or a device would not end
+            raise ParameterError("tuned", str(file), f"is no regular file: {_REMEDY}")
+        if path.stat().st_size > LARGEST:
+            raise ParameterError("tuned", str(file), f"is larger than {LARGEST} byte: {_REMEDY}")
+        text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ParameterError("tuned", str(file), f"cannot be read ({error}): {_REMEDY}") from error
+        reason = getattr(error, "strerror", None) or error
+        raise ParameterError("tuned", str(file), f"cannot be read ({reason}): {_REMEDY}") from error
     return parse_tuned(text, str(file))
 
 

@@ -21,10 +21,14 @@ MISTAKE = 2  # exit code
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line, or say why it cannot; return the exit code."""
-    why = foreign_package() or missing_package()
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    why = foreign_package() or (None if words == ["--version"] else missing_package())
     if why is not None:
         print(f"shake: {why}", file=sys.stderr)
         return MISTAKE
+    if words == ["--version"]:
+        print(f"shake-env {importlib.import_module('shake_env').__version__}")
+        return 0
     # By name: the layers above import this one, and not the other way round.
     code: int = importlib.import_module("agents.__main__").main(arguments)
     return code

@@ -68,6 +68,8 @@ def require_writable_file(file: Path, field: str) -> None:
     """Raise ParameterError unless a file can be written; make its folder."""
     if file.is_dir():
         raise ParameterError(field, str(file), "is a folder: name a file in it")
+    if file.exists() and not file.is_file():  # opening a pipe would wait for its reader
+        raise ParameterError(field, str(file), "is no regular file: name another")
     require_writable(file.parent, field)
     if file.exists():
         try:

@@ -102,7 +102,7 @@ def named_controllers(
 
 def require_names(names: Sequence[str]) -> None:
     """Raise ParameterError where no controller is named."""
-    if not names:
+    if not names or not all(names):
         raise ParameterError("controllers", "none", "name at least one, such as lqr, or all")
 
 

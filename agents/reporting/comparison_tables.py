@@ -37,7 +37,8 @@ def print_tables(comparison: Comparison, console: Console) -> None:
             [_label(row.controller), *(cell(row, comparison.reference) for _, cell in columns)]
             for row in rows
         ]
-        title = f"{group}, {rows[0].earthquakes} earthquakes"
+        number = rows[0].earthquakes
+        title = f"{group}, {number} earthquake{'s' if number != 1 else ''}"
         print_table(console, ["controller", *headings], cells, title=title)
     console.print(
         f"Cost: summed over the group, relative to {_label(comparison.reference)}'s on the same "

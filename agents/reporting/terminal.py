@@ -13,7 +13,7 @@ from rich.text import Text
 
 from agents.progress import display
 
-GAP = 1  # blanks between the columns of a terminal's table
+GAP = 1  # blanks between the columns of a terminal's table: rich's own divider
 PIPE_GAP = "  "  # between those of a pipe's table: cells may hold single blanks
 
 
@@ -74,7 +74,7 @@ def print_table(
         for i, heading in enumerate(headings)
     ]
     for block in _blocks(widths, names, fold, console.width):
-        table = Table(box=SIMPLE_HEAD, padding=(0, GAP, 0, 0), show_edge=False, pad_edge=False)
+        table = Table(box=SIMPLE_HEAD, padding=0, show_edge=False, pad_edge=False)
         for i in block:
             table.add_column(
                 Text(headings[i]),

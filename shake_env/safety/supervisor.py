@@ -45,6 +45,9 @@ MISFIT = 3.0  # [-] share of the recent prediction errors that a margin holds
 ROUNDING = 1e-6  # [-] of full current; a smaller change of a command is none
 
 
+OTHER_ENTRIES = "other entries"  # of an observation, besides the readings of the table
+
+
 @dataclass(frozen=True)
 class Memory:
     """What the supervisor remembers of each table; leading axis N."""
@@ -59,6 +62,14 @@ class Memory:
     braked: NDArray[np.int64]  # (N,) of them replaced by braking
     not_finite: NDArray[np.int64]  # (N,) of them that were no finite number
     largest: FloatArray  # (N,) largest change of a finite command [-] of full current
+
+
+@dataclass(frozen=True)
+class HeldEntries:
+    """The last finite value of each entry of an observation; leading axis N."""
+
+    values: NDArray[np.float32]  # (N, n)
+    faults: NDArray[np.int64]  # (N,) observations in which an entry besides x_A's was not finite
 
 
 class Supervised:
@@ -110,7 +121,7 @@ class Supervised:
         self._foresight = Foresight.of(scenario, specimens, bounds, noise)
         # What an error of x_A does to every look ahead, (H, 4, R) [A per SI unit].
         self._sensitivity = np.abs(self._foresight.rows[:, :ACTUATOR])
-        self._latest: tuple[Memory, ObserverMemory] | None = None
+        self._latest: tuple[Memory, ObserverMemory, HeldEntries] | None = None
 
     def predict(
         self,
@@ -120,7 +131,7 @@ class Supervised:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[Any, ...]]:
         """Return the controller's action (..., 1), limited, and ``(its state, the supervisor's)``."""
-        inner, memory, sensors = (None, None, None) if state is None else state
+        inner, memory, sensors, held = (None, None, None, None) if state is None else state
         channels = self._observer.channels
         # Read before the controller is asked: nothing that it does to an array counts.
         readings = np.atleast_2d(observation)[:, channels.places] * channels.scale
@@ -130,11 +141,12 @@ class Supervised:
         if sensors is None:
             sensors = self._observer.begin(len(readings))
         estimate, sensors = self._observer.look(self._observer.afresh(sensors, begins), readings)
+        # The controller is shown what is believed in place of a faulty reading, and the last finite
+        # value of any other entry, so that nothing that is not a number stays in its memory.
         shown = np.array(observation)
-        if (
-            estimate.faulty.any()
-        ):  # the controller is shown what is believed in place of a faulty reading
-            rows = shown.reshape(len(readings), -1)
+        rows = shown.reshape(len(readings), -1)
+        held = _hold_finite(held, rows, begins, channels.places)
+        if estimate.faulty.any():
             believed = estimate.readings / channels.scale
             rows[:, channels.places] = np.where(estimate.faulty, believed, rows[:, channels.places])
         action, inner = decide(self.controller, shown, inner, episode_start, deterministic)
@@ -142,19 +154,19 @@ class Supervised:
         memory = self._look(memory, estimate.table, begins)
         sent, memory, under_way = self._limit(memory, estimate, sensors.misfit, wanted)
         sensors = self._observer.predict(sensors, under_way, self._flow(estimate.table))
-        self._latest = (memory, sensors)
-        return sent.astype(np.float32).reshape(np.shape(action)), (inner, memory, sensors)
+        self._latest = (memory, sensors, held)
+        return sent.astype(np.float32).reshape(np.shape(action)), (inner, memory, sensors, held)
 
     def interventions(self, state: tuple[Any, ...] | None = None) -> Interventions:
         """Return how often the supervisor acted, up to `state` or else up to its last call."""
-        latest = self._latest if state is None else (state[1], state[2])
+        latest = self._latest if state is None else (state[1], state[2], state[3])
         names = self._observer.channels.names
         if latest is None:
             none = np.zeros(0, dtype=np.int64)
-            faults = dict.fromkeys(names, none)
+            faults = dict.fromkeys((*names, OTHER_ENTRIES), none)
             return Interventions(none, none, none, none, np.zeros(0), faults)
-        memory, sensors = latest
-        faults = dict(zip(names, sensors.faults.T, strict=True))
+        memory, sensors, held = latest
+        faults = dict(zip(names, sensors.faults.T, strict=True)) | {OTHER_ENTRIES: held.faults}
         return Interventions(
             memory.steps, memory.acted, memory.braked, memory.not_finite, memory.largest, faults
         )
@@ -255,6 +267,21 @@ class Supervised:
             ],
             axis=-1,
         )
+
+
+def _hold_finite(
+    held: HeldEntries | None, rows: NDArray[Any], begins: NDArray[np.bool_], places: NDArray[np.intp]
+) -> HeldEntries:
+    """Put the last finite value in place of what is not a number in `rows` (N, n); return those held."""
+    if held is None:
+        held = HeldEntries(np.zeros(rows.shape, np.float32), np.zeros(len(rows), dtype=np.int64))
+    bad = ~np.isfinite(rows)
+    faults = held.faults
+    if bad.any():
+        last = np.where(begins[:, None], np.float32(0.0), held.values)
+        rows[bad] = last[bad]
+        faults = faults + np.delete(bad, places, axis=1).any(axis=1)
+    return HeldEntries(rows.astype(np.float32), faults)
 
 
 def _require_readings(scenario: Scenario) -> None:

@@ -100,6 +100,16 @@ def test_a_reader_that_leaves_gets_no_traceback(words):
     assert b"Traceback" not in err and b"Exception" not in err
 
 
+@pytest.mark.parametrize(
+    "words", [["compare", "--tuned"], ["tune", "pid", "--keep"], ["tune", "pid", "--storage"]]
+)
+def test_pipes_and_devices_are_refused_at_the_door(words, tmp_path, capsys):
+    os.mkfifo(tmp_path / "pipe")
+    for file in (tmp_path / "pipe", "/dev/zero"):
+        assert main([*words, str(file)]) == 2
+        assert "is no regular file" in capsys.readouterr().err
+
+
 def test_version(capsys):
     from importlib.metadata import version
 
@@ -461,7 +471,8 @@ def test_another_distributions_package_is_recognised(tmp_path):
 
 def test_a_missing_package_of_the_command_line_is_named(monkeypatch, capsys):
     monkeypatch.setattr(command_line, "PACKAGES", ("no_such_package",))
-    assert command_line.main(["--version"]) == 2
+    assert command_line.main(["list"]) == 2
+    assert command_line.main(["--version"]) == 0
     err = capsys.readouterr().err
     assert "no_such_package" in err and "pip install '.[agents]'" in err
 

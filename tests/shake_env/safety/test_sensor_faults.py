@@ -13,6 +13,7 @@ from baselines.estimation.lqg import lqg
 from shake_env import NoControl, Sensing, Supervised, Uncertainty, Uniform, make_scenario
 from shake_env.rollout import noise_earthquakes, rollout
 from shake_env.safety.sensor_faults import Channels
+from shake_env.safety.supervisor import OTHER_ENTRIES
 from shake_env.safety.table_state_observer import TableStateObserver
 from shake_env.simulation.simulation import Simulation
 
@@ -104,11 +105,31 @@ def test_one_bad_reading_is_bridged_reported_and_forgotten(value, place, clean):
     actions, report = drive(supervised, scenario, 140, spoil, channels.places[place])
     assert np.isfinite(actions).all()
     counts = {name: count.tolist() for name, count in report.faults.items()}
-    assert counts == {name: [0, int(at == place), 0, 0] for at, name in enumerate(channels.names)}
+    expected = {name: [0, int(at == place), 0, 0] for at, name in enumerate(channels.names)}
+    assert counts == {**expected, OTHER_ENTRIES: [0, 0, 0, 0]}
     assert report.not_finite.sum() == 0
     assert f"{channels.names[place]} 1 at 1 tables" in str(report)
     assert np.array_equal(actions[:, [0, 2, 3]], clean[:, [0, 2, 3]])
     assert report.braked[1] <= 1 and np.abs(actions[100:, 1] - clean[100:, 1]).max() < 0.02
+
+
+@pytest.mark.parametrize("which", ["ground filter", "preview", "all"])
+def test_any_entry_that_is_not_a_number_is_held_and_counted(which, clean):
+    scenario = make_scenario("laboratory")
+    layout, places = scenario.observation, Channels.of(scenario).places
+    other = np.setdiff1d(np.arange(layout.size), places)
+    entry = {"ground filter": 1, "preview": other[-1], "all": np.arange(layout.size)}[which]
+
+    def spoil(k, observation, chosen):
+        if k == 60:
+            observation[1, chosen] = np.nan
+
+    actions, report = drive(Supervised(lqg(scenario), scenario), scenario, 140, spoil, entry)
+    assert np.isfinite(actions).all() and report.not_finite.sum() == 0
+    assert report.faults[OTHER_ENTRIES].tolist() == [0, 1, 0, 0]
+    assert np.array_equal(actions[:, [0, 2, 3]], clean[:, [0, 2, 3]])
+    # The controller's memory holds no NaN: its actions come back to those without the fault.
+    assert report.braked[1] <= 1 and np.abs(actions[120:, 1] - clean[120:, 1]).max() < 0.05
 
 
 def test_a_good_controller_raises_no_fault():
@@ -190,7 +211,7 @@ def test_an_observer_does_without_an_accelerometer():
     four = tuple(s for s in scenario.sensing.sensors if s.signal != "table_acceleration")
     blind = replace(scenario, sensing=Sensing(sensors=four, preview=0.1, last_action=True))
     _, report = drive(Supervised(lqg(blind), blind), blind, 100)
-    assert set(report.faults) == {s.signal for s in four}
+    assert set(report.faults) == {s.signal for s in four} | {OTHER_ENTRIES}
     assert not any(count.any() for count in report.faults.values())
 
 
