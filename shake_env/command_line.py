@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"shake: {why}", file=sys.stderr)
         return MISTAKE
     if words == ["--version"]:
-        print(f"shake-env {importlib.import_module('shake_env').__version__}")
+        print(f"shake-env {sys.modules['shake_env'].__version__}")  # imported by this very module
         return 0
     # By name: the layers above import this one, and not the other way round.
     code: int = importlib.import_module("agents.__main__").main(arguments)
