@@ -7,7 +7,9 @@ import json
 import os
 import sys
 import traceback
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import shake_env
 from agents.cli.command_options import CommandOptions
@@ -15,6 +17,7 @@ from agents.cli.commands import COMPLETION, HELP, command_help, parse, print_com
 from agents.progress import display
 from agents.reporting.terminal import OutputConsole
 from shake_env.errors import ShakeError, install_hint
+from shake_env.renamed import RenamedWarning
 
 MISTAKE, INTERRUPTED, BROKEN_PIPE = 2, 130, 141  # exit codes
 
@@ -28,11 +31,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0 if words else MISTAKE
         if words[0] in COMPLETION:
             print_completion(words)
-        return run_words(words)
+        with renamings_as_lines():
+            return run_words(words)
     except BrokenPipeError:  # whoever reads has enough, such as head
         with contextlib.suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
+
+
+@contextlib.contextmanager
+def renamings_as_lines() -> Iterator[None]:
+    """Print the warning about each old name as one line on standard error, once."""
+    printed: set[str] = set()
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", RenamedWarning)
+        usual = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *place: Any, **where: Any) -> None:
+            if not issubclass(category, RenamedWarning):
+                usual(message, category, *place, **where)
+            elif str(message) not in printed:
+                printed.add(str(message))
+                print(f"shake: {message}", file=sys.stderr)
+
+        warnings.showwarning = show
+        yield
 
 
 def own_text(words: Sequence[str]) -> str | None:

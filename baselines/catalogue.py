@@ -77,7 +77,7 @@ class Baseline:
         return self.tests > 1
 
 
-def _published(scenario: Scenario) -> Controller:
+def _continuous(scenario: Scenario) -> Controller:
     """Return the paper's LQR: designed in continuous time, then held between control samples.
 
     Weights are the scenario's own. Its closed loop has poles near 2500 rad/s at the least (2e5 rad/s
@@ -88,91 +88,111 @@ def _published(scenario: Scenario) -> Controller:
     return LinearFeedback(scenario, continuous_lqr(scenario.plant, q_1=q_1, q_2=q_2, r=r).gain)
 
 
-def _seen(
+def _estimated(
     scenario: Scenario,
     make: Callable[[Scenario], Controller],
-    doubt: float = 1.0,
+    model_error_scale: float = 1.0,
     *,
     accommodate: bool = False,
 ) -> Controller:
     """Return a full-state controller, behind an estimator where the scenario shows signals or delays.
 
-    `doubt` multiplies what the filter believes of its model's errors.
+    `model_error_scale` multiplies what the filter believes of its model's errors.
     """
     if scenario.sensing.full_state and not scenario.delay:
         return make(scenario)
     error = ModelError.of(scenario)
-    error = replace(error, force=doubt * error.force, flow=doubt * error.flow)
+    error = replace(error, force=model_error_scale * error.force, flow=model_error_scale * error.flow)
     return estimated(scenario, make, error, accommodate=accommodate)
 
 
-def _place(scenario: Scenario, position: float) -> float | None:
-    """Return the weighed position, where the ground has a place for the table to be in."""
-    return None if scenario.ground.highpass_frequency is None else position
+def _tolerance(scenario: Scenario, displacement_tolerance: float) -> float | None:
+    """Return the tolerance [m]; None without a high-pass, when the target displacement is unbounded."""
+    return None if scenario.ground.highpass_frequency is None else displacement_tolerance
 
 
-def _lqg(scenario: Scenario, *, position: float, doubt: float, accommodate: bool = False) -> Controller:
+def _lqg(
+    scenario: Scenario,
+    *,
+    displacement_tolerance: float,
+    model_error_scale: float,
+    accommodate: bool = False,
+) -> Controller:
     if scenario.sensing.full_state and not scenario.delay:
         raise ScenarioError(
             "sensing", "full state, no delay", "nothing to estimate: ask for preview-lqr"
         )
-    return _seen(
+    return _estimated(
         scenario,
-        lambda full: PreviewFeedback(full, position=_place(full, position)),
-        doubt,
+        lambda full: PreviewFeedback(full, position=_tolerance(full, displacement_tolerance)),
+        model_error_scale,
         accommodate=accommodate,
     )
 
 
-def _preview(scenario: Scenario, *, position: float) -> Controller:
-    return PreviewFeedback(scenario, position=_place(scenario, position))
+def _preview(scenario: Scenario, *, displacement_tolerance: float) -> Controller:
+    return PreviewFeedback(scenario, position=_tolerance(scenario, displacement_tolerance))
 
 
-def _integral(scenario: Scenario, *, position: float, integral: float) -> Controller:
-    weights = DisplacementWeights(position=position, integral=integral)
+def _integral(scenario: Scenario, *, displacement_weight: float, integral_weight: float) -> Controller:
+    weights = DisplacementWeights(position=displacement_weight, integral=integral_weight)
 
     def make(full: Scenario) -> Controller:
         return IntegralFeedback(full, lqr_integral(full.discrete, full.stage_cost, weights))
 
-    return _seen(scenario, make)
+    return _estimated(scenario, make)
 
 
-def _feedforward(scenario: Scenario, *, position: float, doubt: float) -> Controller:
+def _friction_feedforward(
+    scenario: Scenario, *, displacement_tolerance: float, model_error_scale: float
+) -> Controller:
     if not (scenario.nonlinearity.friction.active or scenario.nonlinearity.valve.flow_active):
         raise ScenarioError(
             "nonlinearity", "no friction, no orifice", "there is nothing to feed forward"
         )
-    return _seen(scenario, lambda full: FeedforwardLQR(full, position=_place(full, position)), doubt)
+
+    def make(full: Scenario) -> Controller:
+        return FeedforwardLQR(full, position=_tolerance(full, displacement_tolerance))
+
+    return _estimated(scenario, make, model_error_scale)
 
 
-def _mpc(scenario: Scenario, *, position: float, doubt: float) -> Controller:
+def _mpc(scenario: Scenario, *, displacement_tolerance: float, model_error_scale: float) -> Controller:
     if scenario.limits.table_displacement is None:
         raise ScenarioError("limits", "off", "without limits it is preview-lqr: ask for that")
 
     def make(full: Scenario) -> Controller:
-        return PredictiveControl(full, MPCSettings(position=_place(full, position)))
+        return PredictiveControl(full, MPCSettings(position=_tolerance(full, displacement_tolerance)))
 
-    return _seen(scenario, make, doubt, accommodate=True)
+    return _estimated(scenario, make, model_error_scale, accommodate=True)
 
 
-def _multi_model(scenario: Scenario, *, position: float, doubt: float) -> Controller:
+def _multi_model(
+    scenario: Scenario, *, displacement_tolerance: float, model_error_scale: float
+) -> Controller:
     if not scenario.uncertainty.active:
         raise ScenarioError("uncertainty", "none", "one model is known: ask for lqr")
 
     def make(full: Scenario) -> Controller:
-        place = _place(full, position)
-        design = multi_model_lqr(full, drawn_models(full, MODELS), position=place)
-        return with_preview(full, design.gain, place)
+        tolerance = _tolerance(full, displacement_tolerance)
+        design = multi_model_lqr(full, drawn_models(full, MODELS), position=tolerance)
+        return with_preview(full, design.gain, tolerance)
 
-    return _seen(scenario, make, doubt, accommodate=True)
+    return _estimated(scenario, make, model_error_scale, accommodate=True)
 
 
-def _robust(scenario: Scenario, *, mass_uncertainty: float, position: float, doubt: float) -> Controller:
+def _h_infinity(
+    scenario: Scenario,
+    *,
+    mass_uncertainty: float,
+    displacement_tolerance: float,
+    model_error_scale: float,
+) -> Controller:
     def make(full: Scenario) -> Controller:
-        place = _place(full, position)
-        return with_preview(full, robust_feedback(full, mass_uncertainty, place).gain, place)
+        tolerance = _tolerance(full, displacement_tolerance)
+        return with_preview(full, robust_feedback(full, mass_uncertainty, tolerance).gain, tolerance)
 
-    return _seen(scenario, make, doubt, accommodate=True)
+    return _estimated(scenario, make, model_error_scale, accommodate=True)
 
 
 def _pid(scenario: Scenario, *, bandwidth: float) -> Controller:
@@ -187,9 +207,7 @@ def _inverse(scenario: Scenario, *, cutoff: float) -> Controller:
     return InverseFeedForward(scenario, InverseDesign(cutoff=cutoff))
 
 
-def _inverse_feedback(
-    scenario: Scenario, *, cutoff: float, bandwidth: float, damping: float
-) -> Controller:
+def _inverse_tvc(scenario: Scenario, *, cutoff: float, bandwidth: float, damping: float) -> Controller:
     feedback = TVCDesign(position_bandwidth=bandwidth, oil_damping=damping)
     return InverseFeedForward(scenario, InverseDesign(cutoff=cutoff, feedback=feedback))
 
@@ -209,27 +227,25 @@ def _mcs_bounded(scenario: Scenario, *, alpha: float, bandwidth: float, leakage:
     return MCS(scenario, design)
 
 
-def _observer(scenario: Scenario, *, margin: float, bandwidth: float, damping: float) -> Controller:
+def _tvc_dob(scenario: Scenario, *, margin: float, bandwidth: float, damping: float) -> Controller:
     inner = _tvc(scenario, bandwidth=bandwidth, damping=damping)
     return DisturbanceObserver(scenario, inner, ObserverDesign(margin=margin))
 
 
-def _iteration(scenario: Scenario, earthquakes: Sequence[Earthquake], *, gain: float) -> Controller:
+def _tf_iteration(scenario: Scenario, earthquakes: Sequence[Earthquake], *, gain: float) -> Controller:
     plan = IterationPlan(gain=gain)
     return transfer_function_iteration(scenario, earthquakes, plan).controller
 
 
-def _learning(
-    scenario: Scenario, earthquakes: Sequence[Earthquake], *, step_weight: float
-) -> Controller:
+def _ilc(scenario: Scenario, earthquakes: Sequence[Earthquake], *, step_weight: float) -> Controller:
     return norm_optimal_learning(scenario, earthquakes, step_weight=step_weight).controller
 
 
 MODELS = 32  # specimens that the multi-model design is made for
 # A looser place costs a percent less on the noise and loses tables that use all of their stroke: of 64
 # artificial earthquakes (validation) at 9 m 12, at 3 m 3, at 1 m none (`lqg`, unknown-specimen).
-_POSITION = Tunable(0.001, 1.0, 0.03, natural="high")
-_DOUBT = Tunable(0.003, 30.0, 1.0)
+_TOLERANCE = Tunable(0.001, 1.0, 0.03, natural="high")
+_ESTIMATED = {"displacement_tolerance": _TOLERANCE, "model_error_scale": Tunable(0.003, 30.0, 1.0)}
 _BANDWIDTH = Tunable(0.02, 5.0, 1.0, natural="low")  # the feed-forward alone
 _DAMPING = Tunable(0.01, 0.7, 0.2)
 _CUTOFF = Tunable(10.0, 200.0, 40.0, natural="high")  # past half the control rate: no low-pass
@@ -237,55 +253,54 @@ _ALPHA = Tunable(0.003, 30.0, 1.0, natural="low")  # without adaptation
 
 BASELINES: dict[str, Baseline] = {
     "none": Baseline(lambda scenario: NoControl(), "the uncontrolled table (zero valve current)"),
-    "lqr-published": Baseline(
-        _published, "the paper's LQR, designed in continuous time and held between samples"
+    "lqr-continuous": Baseline(
+        _continuous, "the paper's LQR, designed in continuous time and held between samples"
     ),
     "lqr": Baseline(lqr, "sampled-data LQR on the full state, without preview"),
-    "preview-lqr": Baseline(_preview, "preview LQR with a displacement weight", {"position": _POSITION}),
+    "preview-lqr": Baseline(
+        _preview, "preview LQR with a displacement weight", {"displacement_tolerance": _TOLERANCE}
+    ),
     "lqr-integral": Baseline(
         _integral,
         "LQR with integral action on displacement",
         {
-            "position": Tunable(1e-6, 1e3, 0.01, natural="low"),
-            "integral": Tunable(1e-6, 1e3, 0.01, natural="low"),
+            "displacement_weight": Tunable(1e-6, 1e3, 0.01, natural="low"),
+            "integral_weight": Tunable(1e-6, 1e3, 0.01, natural="low"),
         },
     ),
-    "lqg": Baseline(
-        _lqg, "preview LQR behind a Kalman filter", {"position": _POSITION, "doubt": _DOUBT}
-    ),
-    "lqg-accommodating": Baseline(
+    "lqg": Baseline(_lqg, "preview LQR behind a Kalman filter", _ESTIMATED),
+    "lqg-dac": Baseline(
         partial(_lqg, accommodate=True),
         "lqg with compensation of the estimated disturbance",
-        {"position": _POSITION, "doubt": _DOUBT},
+        _ESTIMATED,
     ),
-    "feedforward": Baseline(
-        _feedforward,
+    "lqr-friction-ff": Baseline(
+        _friction_feedforward,
         "preview LQR with friction and orifice feed-forward",
-        {"position": _POSITION, "doubt": _DOUBT},
+        _ESTIMATED,
     ),
     "mpc": Baseline(
         _mpc,
         "predictive control within current, velocity and stroke",
-        {"position": _POSITION, "doubt": _DOUBT},
+        _ESTIMATED,
     ),
     "multi-model": Baseline(
         _multi_model,
         "preview LQR of least mean cost over a set of specimens",
-        {"position": _POSITION, "doubt": _DOUBT},
+        _ESTIMATED,
     ),
-    "robust": Baseline(
-        _robust,
+    "h-infinity": Baseline(
+        _h_infinity,
         "H-infinity feedback with a guaranteed cost for an uncertain mass",
         {
             "mass_uncertainty": Tunable(0.002, 0.9, 0.1, natural="low"),
-            "position": _POSITION,
-            "doubt": _DOUBT,
+            **_ESTIMATED,
         },
     ),
     "adaptive": Baseline(
         certainty_equivalence,
         "certainty-equivalence control: preview LQR for the identified specimen",
-        {"position": Tunable(0.001, 1.0, 0.05, natural="high")},
+        {"displacement_tolerance": Tunable(0.001, 1.0, 0.05, natural="high")},
     ),
     "pid": Baseline(
         _pid,
@@ -293,8 +308,8 @@ BASELINES: dict[str, Baseline] = {
         {"bandwidth": Tunable(0.02, 8.0, 1.0, natural="low")},
     ),
     "tvc": Baseline(_tvc, "three-variable control", {"bandwidth": _BANDWIDTH, "damping": _DAMPING}),
-    "tvc-observer": Baseline(
-        _observer,
+    "tvc-dob": Baseline(
+        _tvc_dob,
         "three-variable control with a disturbance observer",
         {
             "margin": Tunable(0.02, 0.95, 0.7, natural="low"),
@@ -316,20 +331,20 @@ BASELINES: dict[str, Baseline] = {
             "leakage": Tunable(0.02, 20.0, 0.2, natural="high"),
         },
     ),
-    "inverse": Baseline(_inverse, "inverse-model feed-forward alone", {"cutoff": _CUTOFF}),
-    "inverse-feedback": Baseline(
-        _inverse_feedback,
+    "inverse-ff": Baseline(_inverse, "inverse-model feed-forward alone", {"cutoff": _CUTOFF}),
+    "inverse-ff-tvc": Baseline(
+        _inverse_tvc,
         "inverse-model feed-forward with placed feedback",
         {"cutoff": _CUTOFF, "bandwidth": _BANDWIDTH, "damping": _DAMPING},
     ),
-    "iteration": Baseline(
-        _iteration,
+    "tf-iteration": Baseline(
+        _tf_iteration,
         "offline iteration of the drive file, after six repeats of the same test",
         {"gain": Tunable(0.1, 1.5, 0.7)},
         tests=10,  # a still table, a response over two lengths, six repeats and the test
     ),
-    "learning": Baseline(
-        _learning,
+    "ilc": Baseline(
+        _ilc,
         "norm-optimal iterative learning, after six repeats of the same test",
         {"step_weight": Tunable(1e-4, 1.0, 0.01)},
         tests=8,  # a still table, six repeats and the test

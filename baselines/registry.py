@@ -12,9 +12,11 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from baselines.catalogue import BASELINES, Baseline
+from baselines.searched_lqg import LQG_SEARCHED, SEARCHED, searched_baseline
 from baselines.tuned_values import TunedEntry, TunedValues, packaged_values
 from shake_env.controller import Controller
 from shake_env.errors import ScenarioError, unknown
+from shake_env.renamed import CONTROLLERS, TUNABLES, renamed, renamed_keys
 from shake_env.rollout import Earthquake
 from shake_env.scenario.digest import known_name, named_digest, scenario_digest
 from shake_env.scenario.scenario import Scenario
@@ -33,6 +35,7 @@ class ParameterValues:
         return {**vars(self), "parameters": dict(self.parameters)}
 
 
+CLASSICAL = (*BASELINES, *SEARCHED)  # names of all controllers that are designed, not trained
 WRITTEN_RULE = ParameterValues(parameters={}, source="rule", description="written rule")
 
 
@@ -56,6 +59,8 @@ def parameter_values(name: str, scenario: Scenario, tuned: TunedValues | None = 
     ParameterError
         If only the third applies, and the file holds values for several other scenarios.
     """
+    name = renamed("controller", name, CONTROLLERS)
+    name = LQG_SEARCHED if name in SEARCHED else name  # one search serves all of them
     digest = scenario_digest(scenario)
     if tuned is not None and (entry := tuned.exact(name, digest)):
         return _of_file(entry, tuned, "this scenario")
@@ -96,7 +101,7 @@ def make_baseline(
     Parameters
     ----------
     name
-        Of `BASELINES`.
+        Of `CLASSICAL`.
     scenario
         What it is to drive.
     parameters
@@ -111,10 +116,25 @@ def make_baseline(
         If there is none of that name, a parameter is unknown, the scenario does not suit it, or it needs
         earthquakes and none are given.
     """
-    if name not in BASELINES:
-        raise unknown(ScenarioError, "controller", name, BASELINES)
+    name = renamed("controller", name, CONTROLLERS)
+    baseline = baseline_of(name, scenario)
     chosen = parameter_values(name, scenario).parameters if parameters is None else parameters
-    return designed(name, BASELINES[name], scenario, chosen, earthquakes)
+    return designed(name, baseline, scenario, chosen, earthquakes)
+
+
+def baseline_of(name: str, scenario: Scenario) -> Baseline:
+    """Return the entry of a controller of `CLASSICAL`.
+
+    Raises
+    ------
+    ScenarioError
+        If there is none of that name.
+    """
+    if name in SEARCHED:
+        return searched_baseline(scenario, name)
+    if name not in BASELINES:
+        raise unknown(ScenarioError, "controller", name, CLASSICAL)
+    return BASELINES[name]
 
 
 def designed(
@@ -125,6 +145,7 @@ def designed(
     earthquakes: Sequence[Earthquake] | None = None,
 ) -> Controller:
     """Return a controller of a catalogue's entry; see `make_baseline`."""
+    parameters = renamed_keys(f"parameter of {name}", parameters, TUNABLES.get(name, {}))
     for each in parameters:
         if each not in baseline.tunable:
             raise unknown(ScenarioError, f"parameter of {name}", each, baseline.tunable)

@@ -15,6 +15,7 @@ from typing import Any
 
 from shake_env.errors import ParameterError
 from shake_env.model.parameters import is_number
+from shake_env.renamed import CONTROLLERS, TUNABLES, renamed, renamed_keys
 
 FORMAT = "shake-tuned-1"
 _REMEDY = "is no file of tuned values: shake tune CONTROLLER --keep FILE writes one"
@@ -125,11 +126,13 @@ def _entry(plain: Any, number: int, source: str) -> TunedEntry:
         or not all(is_number(v) and math.isfinite(v) for v in parameters.values())
     ):
         raise ParameterError("tuned", source, f"entry {number}: parameters must be finite numbers")
+    controller = renamed("controller", plain["controller"], CONTROLLERS)
+    values = {name: float(value) for name, value in parameters.items()}
     return TunedEntry(
-        controller=plain["controller"],
+        controller=controller,
         digest=plain["digest"],
         scenario=plain["scenario"],
-        parameters={name: float(value) for name, value in parameters.items()},
+        parameters=renamed_keys(f"parameter of {controller}", values, TUNABLES.get(controller, {})),
         search=search,
     )
 

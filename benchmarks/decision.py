@@ -20,10 +20,10 @@ from agents.training.model_factory import new_model
 from benchmarks.timing import seconds_each
 
 SHIPPED = {
-    "linear, 64 x 64": ("analytic", "linear"),
-    "linear, 128 x 128, one and its mirror image": ("policy", "linear"),
-    "laboratory, behind an estimator": ("analytic", "laboratory"),
-    "unknown-specimen, estimator and memory": ("analytic", "unknown-specimen"),
+    "linear, 64 x 64": ("apg", "linear"),
+    "linear, 128 x 128, one and its mirror image": ("ppo", "linear"),
+    "laboratory, behind an estimator": ("apg", "laboratory"),
+    "unknown-specimen, estimator and memory": ("apg", "unknown-specimen"),
 }
 PERIODS = 50  # of the table from which observations are taken
 # Single precision, and features of up to 20 through weights of order 1: 1e-7 of sums of some tens.

@@ -18,7 +18,7 @@ from agents.learning.apg.torch_plant import torch_model
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_law
 from agents.scenario_options import ScenarioOptions
-from agents.training.algorithm_options import AnalyticOptions
+from agents.training.algorithm_options import APGOptions
 from agents.training.config import TrainConfig
 from agents.training.model_factory import new_model
 from shake_env import make_scenario
@@ -73,11 +73,9 @@ def update(way: str, kind: str) -> float:
     """
     gradient = way == "gradient"
     config = TrainConfig(
-        algorithm="analytic" if gradient else "ppo",
+        algorithm="apg" if gradient else "ppo",
         scenario=ScenarioOptions(scenario="laboratory" if gradient else "linear"),
-        analytic=AnalyticOptions(
-            base="lqg-accommodating", tables=1024, authority=0.3, precision="float32", device=kind
-        ),
+        apg=APGOptions(base="lqg-dac", tables=1024, authority=0.3, precision="float32", device=kind),
     )
     scenario, chosen = config.scenario.build(), config.chosen
     env = ShakeTableVecEnv(

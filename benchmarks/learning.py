@@ -15,13 +15,13 @@ import torch
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_law
 from agents.scenario_options import ScenarioOptions
-from agents.training.algorithm_options import AnalyticOptions, PPOOptions
+from agents.training.algorithm_options import APGOptions, PPOOptions
 from agents.training.config import TrainConfig
 from agents.training.model_factory import new_model
 from benchmarks.scaling import exponent
 from benchmarks.timing import seconds_each
 
-SCENARIOS = {"linear": "none", "laboratory": "lqg-accommodating"}  # and what a policy corrects there
+SCENARIOS = {"linear": "none", "laboratory": "lqg-dac"}  # and what a policy corrects there
 WINDOWS = (32, 64, 128, 256, 512)
 TABLES = 64
 
@@ -97,9 +97,9 @@ def gradients(
     and goes back. Segments are of the window's square root.
     """
     config = TrainConfig(
-        algorithm="analytic",
+        algorithm="apg",
         scenario=ScenarioOptions(scenario=scenario),
-        analytic=AnalyticOptions(base=SCENARIOS[scenario], authority=0.3),
+        apg=APGOptions(base=SCENARIOS[scenario], authority=0.3),
     )
     model = _model(config, SCENARIOS[scenario])
     model._setup_learn(1)

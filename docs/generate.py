@@ -52,7 +52,7 @@ TOPICS = {
         "studies", "cli",
     ),
 }  # fmt: skip
-HEADLINE = ("clairvoyant", "free", "ppo", "analytic", "analytic-force")  # in the README
+HEADLINE = ("oracle", "lqg-searched", "ppo", "apg", "apg-force")  # in the README
 DESIGNABLE = ("linear", "as-printed", "laboratory", "unknown-specimen", "yielding")
 
 

@@ -60,7 +60,7 @@ def test_custom_specimen(monkeypatch, capsys):
 def test_peer_record(monkeypatch, capsys):
     out = run("peer_record.py", monkeypatch, capsys)
     assert "NAPA2014_68150_HNE: 10.0 s" in out
-    assert number(r"lqg-accommodating +acceleration error +([\d.]+)", out) < 100.0
+    assert number(r"lqg-dac +acceleration error +([\d.]+)", out) < 100.0
 
 
 def test_sb3_evaluate_policy(monkeypatch, capsys):

@@ -32,7 +32,7 @@ class Bench(CommandOptions):
 
     scenarios: tuple[str, ...] = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
     """Named scenarios."""
-    controllers: tuple[str, ...] = ("clairvoyant", "all")
+    controllers: tuple[str, ...] = ("oracle", "all")
     """Names as shake compare takes them; all: every classical controller that suits the scenario."""
     earthquakes: int = 200
     """Test earthquakes of each; `records` has its six."""

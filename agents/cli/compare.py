@@ -35,7 +35,7 @@ class Compare(FolderOptions):
     """
 
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
-    controllers: tuple[str, ...] = ("none", "policy", "analytic", "off-policy")
+    controllers: tuple[str, ...] = ("none", "ppo", "apg", "sac")
     """Names of classical controllers, all (every one that suits the scenario), policy, analytic
     and off-policy (those that ship), paths of policy files and run directories, or module:Class and
     file.py:Class for one of one's own. The reference (LQR, or LQG where signals are measured) always

@@ -24,7 +24,7 @@ class Evaluate(CommandOptions):
     Try:
       shake evaluate runs/mine
       shake evaluate ppo=runs/ppo-0,runs/ppo-1,runs/ppo-2 lqr none --output out/linear.json
-      shake evaluate runs/campaign/laboratory/analytic lqg-accommodating --scenario laboratory
+      shake evaluate runs/campaign/laboratory/apg lqg-dac --scenario laboratory
       shake evaluate policy analytic --earthquakes 1000 --json
     """
 

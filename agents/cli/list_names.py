@@ -47,22 +47,17 @@ def scenarios() -> dict[str, str]:
 
 
 def controllers() -> dict[str, str]:
-    """Return the classical controllers, and what each is."""
-    from baselines.catalogue import BASELINES
+    """Return the designed controllers and the oracle, and what each is."""
+    from agents.policies import registry
 
-    return {name: baseline.summary for name, baseline in BASELINES.items()}
+    return {e.name: e.summary for e in registry.controllers().values() if e.kind != "shipped"}
 
 
 def policies() -> dict[str, str]:
-    """Return the families of policies that ship, and the scenarios and algorithms of their files."""
-    from agents.policies.registry import SHIPPED, shipped_policy
-    from shake_env import SCENARIO_NAMES
+    """Return the algorithms of the policies that ship, and the files of each."""
+    from agents.policies import registry
 
-    found = {}
-    for family in SHIPPED:
-        files = dict.fromkeys(shipped_policy(family, name).stem for name in SCENARIO_NAMES)
-        found[family] = f"learned; as the scenario has it: {', '.join(files)}"
-    return found
+    return {e.name: e.summary for e in registry.controllers().values() if e.kind == "shipped"}
 
 
 def records() -> dict[str, str]:

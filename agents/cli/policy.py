@@ -33,11 +33,11 @@ class Export(CommandOptions):
         """Write, and say what the graph takes and gives."""
         from agents.policies.onnx_export import export_onnx
         from agents.policies.policy_file import load_policy
-        from agents.policies.registry import file_of
+        from agents.policies.registry import policy_path
 
         if self.output.suffix != ".onnx":
             raise ParameterError("output", str(self.output), "must end in .onnx")
-        policy = load_policy(file_of(self.policy))
+        policy = load_policy(policy_path(self.policy))
         require_writable_file(self.output, "output")
         export_onnx(policy, self.output)
         states = 0 if policy.memory is None else policy.memory.arrays
@@ -80,10 +80,10 @@ class Card(CommandOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Write the card."""
-        from agents.policies.registry import file_of
+        from agents.policies.registry import policy_path
         from agents.reporting.model_card import write_card
 
-        policy = file_of(str(self.policy))
+        policy = policy_path(str(self.policy))
         robustness = self.robustness or _known_robustness(policy)
         files = write_card(policy, self.result, self.limits, robustness)
         for file in files:

@@ -27,7 +27,7 @@ class SearchRecipe(CommandOptions):
 
     Try:
       shake recipe-search linear/ppo --minutes 60
-      shake recipe-search laboratory/analytic --share 0.5 --trials 30
+      shake recipe-search laboratory/apg --share 0.5 --trials 30
       shake recipe-search linear/ppo --trials 0 --keep docs/results/recipe_linear_ppo.json
       shake recipe-search linear/ppo --trials 0 --page docs/training.md
     """

@@ -73,14 +73,14 @@ class Watch(CommandOptions):
             raise ScenarioError("watch", "drawing", str(missing)) from None
 
     def _run(self, console: Console) -> dict[str, Any]:
-        from agents.policies.registry import named_controller
+        from agents.policies.registry import get_controller
         from baselines.registry import reference_name
 
         scenario = self.scenario.build()
         rate = FRAME_RATE if self.save is None else FILMS[self.save.suffix.lower()]
         episode = Episode(
             scenario,
-            named_controller(self.controller or reference_name(scenario), scenario),
+            get_controller(self.controller or reference_name(scenario), scenario),
             seed=self.seed,
             motion=None if self.record is None else recorded(self.record, scenario),
             frame_rate=rate * self.slow_motion,

@@ -12,8 +12,9 @@ from typing import Any
 
 import shake_env
 from agents.evaluation.comparison import compare
-from agents.evaluation.controller_set import ALL, CLAIRVOYANT, values_to_json
+from agents.evaluation.controller_set import ALL, values_to_json
 from agents.evaluation.results import Comparison, GroupSummary, plain_row
+from agents.policies.registry import ORACLE
 from agents.run_directory import described, read_json
 from agents.seeds import TEST_SEED
 from baselines.registry import reference_name
@@ -23,7 +24,7 @@ from shake_env.errors import FileError, ParameterError
 from shake_env.model.parameters import is_number
 
 SCENARIOS = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
-CONTROLLERS = (CLAIRVOYANT, ALL)
+CONTROLLERS = (ORACLE, ALL)
 
 
 def bench(
@@ -76,8 +77,8 @@ def bench(
 
 
 def ranked(found: Comparison) -> list[GroupSummary]:
-    """Return the summaries by cost, the clairvoyant first and no control last."""
-    ends = {CLAIRVOYANT: -1, "none": 1}
+    """Return the summaries by cost, the oracle first and no control last."""
+    ends = {ORACLE: -1, "none": 1}
     return sorted(found.summaries, key=lambda row: (ends.get(row.controller, 0), row.relative_cost))
 
 

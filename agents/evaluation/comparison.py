@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.evaluation.bootstrap import _interval, _mean, _ratio
-from agents.evaluation.controller_set import CLAIRVOYANT, named_controllers, require_names
+from agents.evaluation.controller_set import get_controllers, require_names
 from agents.evaluation.fidelity import Fidelity, fidelity
 from agents.evaluation.latency import decision_time
 from agents.evaluation.results import Comparison, GroupSummary
+from agents.policies.registry import ORACLE, find_controller, get_driven
 from agents.seeds import COMPARISON_SEED
-from baselines.catalogue import BASELINES
 from baselines.iterative.drive_file import DriveFile
-from baselines.lqr.oracle import clairvoyant
 from baselines.tuned_values import TunedValues
 from shake_env.errors import ParameterError
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
@@ -55,7 +54,7 @@ def compare(
     scenario
         What is driven.
     names
-        See :func:`named_controllers`.
+        See :func:`get_controllers`.
     noise
         Number of seeded filtered-noise earthquakes.
     records
@@ -91,7 +90,7 @@ def compare(
         "filtered noise": range(noisy, len(earthquakes)),
     }
     traced = _strongest(recorded) if recorded and not motions else 0
-    chosen = named_controllers(names, scenario, earthquakes, tuned)
+    chosen = get_controllers(names, scenario, earthquakes, tuned)
     controllers = dict(chosen.controllers)
     reference = next(iter(controllers))
     damage = {
@@ -100,8 +99,8 @@ def compare(
         if isinstance(each, DriveFile) and each.damage is not None
     }
     driven = dict.fromkeys(controllers, scenario)
-    if CLAIRVOYANT in names:
-        driven[CLAIRVOYANT], controllers[CLAIRVOYANT] = clairvoyant(scenario, earthquakes)
+    if chosen.oracle:
+        driven[ORACLE], controllers[ORACLE] = get_driven(ORACLE, scenario, earthquakes)
     episodes: dict[str, list[EpisodeMetrics]] = {}
     fidelities: dict[str, list[Fidelity]] = {}
     latency: dict[str, float] = {}
@@ -124,8 +123,8 @@ def compare(
         on_histories(name, [(quake, found[i]) for i, quake in enumerate(earthquakes)])
         fidelities[name] = [fidelity(found[i], step, stories) for i in range(len(earthquakes))]
         # What is made for each lane's own earthquake or plant has no decision for one table to time.
-        own = name == CLAIRVOYANT or (name in BASELINES and BASELINES[name].repeats_tests)
-        latency[name] = float("nan") if own else decision_time(controller, scenario)
+        untimed = find_controller(name).needs_earthquakes
+        latency[name] = float("nan") if untimed else decision_time(controller, scenario)
     summaries = [
         summarise(
             name,
@@ -134,7 +133,7 @@ def compare(
             [episodes[reference][i] for i in members],
             [fidelities[name][i] for i in members],
             latency[name],
-            BASELINES[name].tests if name in BASELINES else 1,
+            find_controller(name).tests,
             damage[name][list(members)] if name in damage else None,
         )
         for group, members in groups.items()

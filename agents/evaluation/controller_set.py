@@ -8,21 +8,20 @@ from typing import Any
 
 from agents.evaluation.training_distance import training_warning
 from agents.policies.policy_file import PolicyFile
-from agents.policies.registry import SHIPPED, named_controller, require_controller, values_for
+from agents.policies.registry import find_controller, get_controller, values_for
 from baselines.catalogue import BASELINES
 from baselines.registry import ParameterValues, reference_name
-from baselines.searched_lqg import FOUND
+from baselines.searched_lqg import SEARCHED
 from baselines.tuned_values import TunedValues
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError, PolicyFileError, ShakeError
 from shake_env.rollout import Earthquake
 from shake_env.scenario.scenario import Scenario
 
-CLAIRVOYANT = "clairvoyant"  # what regret is counted from, see `baselines.lqr.oracle`
 ALL = "all"  # stands for every classical controller that suits the scenario
 
 
-@dataclass(frozen=True)
+@dataclass
 class ControllerSet:
     """Controllers by name, the reference first."""
 
@@ -30,9 +29,10 @@ class ControllerSet:
     values: dict[str, ParameterValues] = field(default_factory=dict)  # of those that have parameters
     skipped: list[str] = field(default_factory=list)  # what was left out, and why
     warnings: list[str] = field(default_factory=list)  # policies far from what they were trained on
+    oracle: bool = False  # whether the oracle was named, which runs on a scenario of its own
 
 
-def named_controllers(
+def get_controllers(
     names: Sequence[str],
     scenario: Scenario,
     earthquakes: Sequence[Earthquake] | None = None,
@@ -43,11 +43,11 @@ def named_controllers(
     Parameters
     ----------
     names
-        As `named_controller` takes them; ``all`` for every law of `baselines.catalogue` that suits the
-        scenario and what an independent search has found for it; ``clairvoyant``. The reference, which
+        As `find_controller` takes them; ``all`` for every law of `baselines.catalogue` that suits the
+        scenario and what an independent search has found for it; ``oracle``. The reference, which
         costs are relative to, is always among them.
     scenario
-        What they drive. What ``all`` or ``policy`` stand for is left out where it does not suit; what is
+        What they drive. What ``all`` or ``ppo`` stand for is left out where it does not suit; what is
         named raises.
     earthquakes
         One a lane; needed by controllers that repeat their tests beforehand.
@@ -68,7 +68,7 @@ def named_controllers(
             return
         values = values_for(name, scenario, tuned)
         parameters = None if values is None else values.parameters
-        controller = named_controller(name, scenario, earthquakes, parameters)
+        controller = get_controller(name, scenario, earthquakes, parameters)
         result.controllers[name] = controller
         if values is not None:
             result.values[name] = values
@@ -76,27 +76,28 @@ def named_controllers(
             result.warnings.append(f"{name} {text}")
 
     add(reference_name(scenario))
-    for name in names:
-        if name == ALL:
+    for given in names:
+        if given == ALL:
             for each in BASELINES:
                 try:
                     add(each)
                 except ShakeError as error:  # it does not suit the scenario, or its design fails there
                     result.skipped.append(f"{each} ({error})")
-            for each in FOUND:
-                searched = values_for(each, scenario, tuned)
-                if searched is not None and searched.source != "rule":
+            for each in SEARCHED:
+                values = values_for(each, scenario, tuned)
+                if values is not None and values.source != "rule":
                     add(each)
-        elif name == CLAIRVOYANT:
-            continue  # runs on a scenario of its own: `compare` sees to it
-        else:
-            require_controller(name, ALL, CLAIRVOYANT)
-            try:
-                add(name)
-            except PolicyFileError as error:
-                if name not in SHIPPED:
-                    raise
-                result.skipped.append(f"the shipped {name} ({error})")
+            continue
+        entry = find_controller(given, ALL)
+        if entry.kind == "oracle":
+            result.oracle = True
+            continue
+        try:
+            add(entry.name)
+        except PolicyFileError as error:
+            if entry.kind != "shipped":
+                raise
+            result.skipped.append(f"the shipped {entry.name} ({error})")
     return result
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import shake_env
-from agents.evaluation.controller_set import CLAIRVOYANT, values_to_json
+from agents.evaluation.controller_set import values_to_json
 from agents.evaluation.fidelity import fidelity
 from agents.evaluation.latency import decision_time
 from agents.evaluation.results import plain_row
@@ -22,21 +22,20 @@ from agents.evaluation.training_distance import training_warning
 from agents.policies.own_controller import is_own_controller, own_baseline
 from agents.policies.policy_file import PolicyFile, digest, load_policy
 from agents.policies.registry import (
-    SHIPPED,
-    named_controller,
-    require_controller,
-    shipped_policy,
+    CLASSICAL,
+    ORACLE,
+    find_controller,
+    get_controller,
+    get_driven,
+    policy_path,
     values_for,
 )
 from agents.provenance import code_version
 from agents.run_directory import BEST, POLICY, policy_of_run
 from agents.seeds import TEST_SEED
-from baselines.catalogue import BASELINES
-from baselines.lqr.oracle import clairvoyant
 from baselines.lqr.preview import preview_lqr
 from baselines.lqr.sampled import sampled_lqr
 from baselines.registry import reference_name
-from baselines.searched_lqg import FOUND
 from baselines.tuned_values import TunedValues
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError, PolicyFileError
@@ -71,7 +70,7 @@ def contestant(text: str, scenario: Scenario) -> Contestant:
     Parameters
     ----------
     text
-        A classical controller's name, ``clairvoyant``, ``policy`` or ``analytic`` (those that ship),
+        A classical controller's name, ``oracle``, ``ppo`` or ``apg`` (those that ship),
         ``module:Class`` or ``file.py:Class`` (`agents.policies.own_controller`), or ``PATH`` or
         ``NAME=PATH,PATH...``: policy files, run directories and folders of run directories,
         whose policies together are one row.
@@ -85,16 +84,15 @@ def contestant(text: str, scenario: Scenario) -> Contestant:
     PolicyFileError
         If a policy cannot be read or does not fit the scenario, or a folder holds none.
     """
-    if text in BASELINES or text in (CLAIRVOYANT, *FOUND):
-        return Contestant(text)
-    if text in SHIPPED:
-        return _learned(text, [shipped_policy(text, known_name(scenario))], scenario)
-    if is_own_controller(text):
-        own_baseline(text)  # says at once if there is no such class
-        return Contestant(text)
     name, separator, paths = text.rpartition("=")
-    if not separator:
-        require_controller(text, CLAIRVOYANT)
+    if not separator or is_own_controller(text):
+        entry = find_controller(text)
+        if entry.kind == "own":
+            own_baseline(text)  # says at once if there is no such class
+        if entry.kind == "shipped":
+            return _learned(entry.name, [policy_path(entry.name, known_name(scenario))], scenario)
+        if entry.kind != "file":
+            return Contestant(entry.name)
     files = [file for path in paths.split(",") for file in policy_files(Path(path))]
     return _learned(name or Path(paths.split(",")[0]).stem, files, scenario)
 
@@ -220,9 +218,9 @@ def evaluate(
         else noise_earthquakes(scenario, earthquakes, TEST_SEED)
     )
     reference, optimum = reference_name(scenario), optimal_cost(scenario)
-    yardstick = reference if optimum is not None else CLAIRVOYANT
+    yardstick = reference if optimum is not None else ORACLE
     for each in contestants:
-        if each.policies and each.name in (yardstick, reference, *BASELINES, *FOUND):
+        if each.policies and each.name in (yardstick, reference, *CLASSICAL):
             raise ParameterError(
                 "entry", each.name, "is a controller's name: call the policies by NAME=PATH"
             )
@@ -349,9 +347,7 @@ def _controller(
 ) -> tuple[Scenario, Controller]:
     if each.policies:
         return scenario, each.policies[run]
-    if each.name == CLAIRVOYANT:
-        return clairvoyant(scenario, quakes)
-    return scenario, named_controller(each.name, scenario, quakes, parameters)
+    return get_driven(each.name, scenario, quakes, parameters)
 
 
 def _latency(
@@ -360,6 +356,6 @@ def _latency(
     """Return the median time [s] of one decision; None for what is made for its own earthquakes."""
     if each.policies:
         return decision_time(each.policies[0], scenario)
-    if each.name == CLAIRVOYANT or (each.name in BASELINES and BASELINES[each.name].repeats_tests):
+    if find_controller(each.name).needs_earthquakes:
         return None
-    return decision_time(named_controller(each.name, scenario, None, parameters), scenario)
+    return decision_time(get_controller(each.name, scenario, None, parameters), scenario)

@@ -16,15 +16,10 @@ from typing import Any
 import numpy as np
 
 import shake_env
-from agents.evaluation.controller_set import (
-    CLAIRVOYANT,
-    ControllerSet,
-    named_controllers,
-    values_to_json,
-)
+from agents.evaluation.controller_set import ControllerSet, get_controllers, values_to_json
 from agents.evaluation.perturbations import QUANTITIES, Change, altered, nominal_value, training_range
 from agents.policies.policy_file import PolicyFile, digest
-from agents.policies.registry import SHIPPED, file_of, shipped_policy
+from agents.policies.registry import ORACLE, SHIPPED, policy_path, shipped_policy
 from agents.provenance import code_version
 from agents.seeds import ROBUSTNESS_SEED
 from baselines.tuned_values import TunedValues
@@ -41,11 +36,11 @@ FORMAT = "shake-robustness-1"
 PAIRS = (("mass_ratio", "storey_frequency"), ("coulomb_friction", "delay"), ("amplitude", "noise"))
 # What is compared unless told otherwise: the reference, what ships, and the best of the classical ones.
 RIVALS = {
-    "linear": ("robust",),
-    "laboratory": ("lqg-accommodating", "robust", "free"),
-    "records": ("lqg-accommodating", "robust", "free"),
-    "unknown-specimen": ("lqg-accommodating", "robust", "free"),
-    "yielding": ("robust", "free"),
+    "linear": ("h-infinity",),
+    "laboratory": ("lqg-dac", "h-infinity", "lqg-searched"),
+    "records": ("lqg-dac", "h-infinity", "lqg-searched"),
+    "unknown-specimen": ("lqg-dac", "h-infinity", "lqg-searched"),
+    "yielding": ("h-infinity", "lqg-searched"),
 }
 
 
@@ -130,9 +125,9 @@ def controllers_of(
     PolicyFileError
         If a policy cannot be read or does not fit the scenario.
     """
-    if CLAIRVOYANT in names:
-        raise ScenarioError("controller", CLAIRVOYANT, "knows what is changed: leave it out")
-    chosen = named_controllers(names or default_controllers(scenario), scenario, tuned=tuned)
+    chosen = get_controllers(names or default_controllers(scenario), scenario, tuned=tuned)
+    if chosen.oracle:
+        raise ScenarioError("controller", ORACLE, "knows what is changed: leave it out")
     sources = {}
     for name, controller in chosen.controllers.items():
         if isinstance(controller, PolicyFile):
@@ -140,7 +135,7 @@ def controllers_of(
             sources[name] = {
                 "algorithm": config.get("algorithm"),
                 "seed": config.get("seed"),
-                "sha256": digest(file_of(name, known_name(scenario))),
+                "sha256": digest(policy_path(name, known_name(scenario))),
             }
     return chosen, sources
 
@@ -171,7 +166,7 @@ def robustness(
     scenario
         What controllers are made for.
     names
-        As `controller_set.named_controllers` takes them; none: `default_controllers`. The reference is
+        As `controller_set.get_controllers` takes them; none: `default_controllers`. The reference is
         run in any case.
     grid
         What is changed; None: everything, see `Grid.of`.

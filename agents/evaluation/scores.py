@@ -154,9 +154,9 @@ def _median(scores: Scores) -> float:
     return float(np.median(scores))
 
 
-def _regret_closed(cost: Scores, reference: Scores, clairvoyant: Scores) -> float:
-    """Return the share of what the clairvoyant saves against the reference that is saved."""
-    return float((reference.mean() - cost.mean()) / (reference.mean() - clairvoyant.mean()))
+def _regret_closed(cost: Scores, reference: Scores, oracle: Scores) -> float:
+    """Return the share of what the oracle saves against the reference that is saved."""
+    return float((reference.mean() - cost.mean()) / (reference.mean() - oracle.mean()))
 
 
 def _short(value: float) -> float | None:

@@ -20,9 +20,9 @@ import shake_env
 from agents.policies.own_controller import is_own_controller, own_baseline, own_source
 from agents.run_directory import file_errors
 from agents.seeds import VALIDATION_SEED
-from baselines.catalogue import BASELINES, Baseline, Tunable
-from baselines.registry import parameter_values
-from baselines.searched_lqg import FREE, as_free, free_baseline
+from baselines.catalogue import Baseline, Tunable
+from baselines.registry import baseline_of, parameter_values
+from baselines.searched_lqg import LQG_SEARCHED, LQG_SEARCHED_FORCE, searched_baseline, searched_values
 from baselines.tuned_values import TunedEntry, TunedValues, read_tuned, write_tuned
 from shake_env.controller import Controller
 from shake_env.errors import (
@@ -31,9 +31,9 @@ from shake_env.errors import (
     ScenarioError,
     ShakeError,
     install_hint,
-    unknown,
 )
 from shake_env.motion.targets import FilteredNoise
+from shake_env.renamed import CONTROLLERS, renamed
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario.digest import scenario_digest
 from shake_env.scenario.scenario import Scenario
@@ -77,7 +77,7 @@ def tune(
     Parameters
     ----------
     name
-        Of `baselines.registry.BASELINES`, ``free``, or a controller of one's own.
+        Of `baselines.registry.CLASSICAL`, or a controller of one's own.
     scenario
         Its motion is that of the validation earthquakes.
     storage
@@ -101,8 +101,8 @@ def tune(
     ParameterError
         If it has nothing to tune, or the budget is below one trial.
     """
-    storage = Path(storage)
-    candidate = searched(name, scenario)
+    name, storage = renamed("controller", name, CONTROLLERS), Path(storage)
+    candidate = tunable_baseline(name, scenario)
     tunable = candidate.tunable
     if not tunable:
         raise ParameterError("controller", name, "has no free parameter: its design decides everything")
@@ -131,21 +131,19 @@ def tune(
     )  # fmt: skip
 
 
-def searched(name: str, scenario: Scenario) -> Baseline:
-    """Return the controller called `name`, of the catalogue, the free design or one's own.
+def tunable_baseline(name: str, scenario: Scenario) -> Baseline:
+    """Return the controller called `name`, a classical one or one's own.
 
     Raises
     ------
     ScenarioError
-        If there is none of that name.
+        If there is none of that name, or it takes the values of another.
     """
-    if name == FREE:
-        return free_baseline(scenario)
     if is_own_controller(name):
         return own_baseline(name)
-    if name not in BASELINES:
-        raise unknown(ScenarioError, "controller", name, [*BASELINES, FREE])
-    return BASELINES[name]
+    if name == LQG_SEARCHED_FORCE:
+        raise ScenarioError("controller", name, f"takes the values of {LQG_SEARCHED}: tune that")
+    return baseline_of(name, scenario)
 
 
 def starting_points(
@@ -155,16 +153,16 @@ def starting_points(
 
     Values outside what is searched are left out.
     """
-    if name != FREE:
+    if name != LQG_SEARCHED:
         return []
     points = []
     tuned = None if tuned is None else tuned.of_scenario(scenario_digest(scenario))
-    for other in ("preview-lqr", "lqg", "lqg-accommodating"):
+    for other in ("preview-lqr", "lqg", "lqg-dac"):
         values = parameter_values(other, scenario, tuned)
         if values.source != "rule":
-            accommodates = other == "lqg-accommodating"
-            points.append(as_free(scenario, values.parameters, accommodates=accommodates))
-    free = free_baseline(scenario).tunable
+            accommodates = other == "lqg-dac"
+            points.append(searched_values(scenario, values.parameters, accommodates=accommodates))
+    free = searched_baseline(scenario).tunable
     return [p for p in points if all(free[n].low <= value <= free[n].high for n, value in p.items())]
 
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from agents.scenario_options import ScenarioOptions
 from agents.seeds import MOST_RUNS
 from agents.training.algorithm_options import (
-    AnalyticOptions,
+    APGOptions,
     PPOOptions,
     RecurrentPPOOptions,
     SACOptions,
@@ -65,7 +65,8 @@ class Recipe:
 
 
 LABORATORY_RIVALS = (
-    "lqg", "lqg-accommodating", "robust", "inverse-feedback", "free", "free-force", "tvc", "none",
+    "lqg", "lqg-dac", "h-infinity", "inverse-ff-tvc", "lqg-searched", "lqg-searched-force", "tvc",
+    "none",
 )  # fmt: skip
 FRICTION = ScenarioOptions(set=("nonlinearity.friction.coulomb=300",))
 # A step of the physics as long as a control period does not resolve how friction turns about. LQR then
@@ -76,8 +77,8 @@ ARENAS: tuple[Arena, ...] = (
     Arena(name="linear", options=ScenarioOptions(), rivals=("none",)),
     Arena(name="as-printed", options=ScenarioOptions("as-printed"), rivals=("none",)),
     # The reference there is LQR, which does not know of the friction.
-    Arena(name="friction", options=FRICTION, rivals=("feedforward", "none")),
-    Arena(name="friction-coarse", options=COARSE_FRICTION, rivals=("feedforward", "none")),
+    Arena(name="friction", options=FRICTION, rivals=("lqr-friction-ff", "none")),
+    Arena(name="friction-coarse", options=COARSE_FRICTION, rivals=("lqr-friction-ff", "none")),
     Arena(name="laboratory", options=ScenarioOptions("laboratory"), rivals=LABORATORY_RIVALS),
     Arena(
         name="records",
@@ -88,14 +89,14 @@ ARENAS: tuple[Arena, ...] = (
     Arena(
         name="unknown-specimen",
         options=ScenarioOptions("unknown-specimen"),
-        rivals=("lqg", "lqg-accommodating", "adaptive", "multi-model", "robust", "free", "none"),
+        rivals=("lqg", "lqg-dac", "adaptive", "multi-model", "h-infinity", "lqg-searched", "none"),
         earthquakes=2000,
         fidelity=False,
     ),
     Arena(
         name="yielding",
         options=ScenarioOptions("yielding"),
-        rivals=("preview-lqr", "robust", "free", "free-force", "none"),
+        rivals=("preview-lqr", "h-infinity", "lqg-searched", "lqg-searched-force", "none"),
     ),
 )
 
@@ -131,7 +132,7 @@ _EXPLORES_LITTLE = (
     f"a correction within a fiftieth of the current, for it explores a share of that; {_NO_SIDES}"
 )
 _BIASES = "biases, for friction and limits do not scale with the motion"
-_BIASED = AnalyticOptions(scale_free=False)
+_BIASED = APGOptions(scale_free=False)
 
 
 _OFF_POLICY: tuple[tuple[Literal["sac", "td3", "tqc"], float], ...] = (
@@ -139,15 +140,15 @@ _OFF_POLICY: tuple[tuple[Literal["sac", "td3", "tqc"], float], ...] = (
 )  # fmt: skip
 
 
-def _correction(memory: int = 0, authority: float = 0.2) -> AnalyticOptions:
-    """Return the analytic gradient's options for a correction of `free` on a table with a stroke.
+def _correction(memory: int = 0, authority: float = 0.2) -> APGOptions:
+    """Return the analytic gradient's options to correct `lqg-searched` on a table with a stroke.
 
     Windows of 1.3 s outlast the drift that a correction causes; a larger step, or windows of half a
     second, drive tables to the stroke's end.
     """
-    return AnalyticOptions(
-        base="free", authority=authority, learning_rate=2e-4, window=256, tables=64, memory=memory,
-        scale_free=False,
+    return APGOptions(
+        base="lqg-searched", authority=authority, learning_rate=2e-4, window=256, tables=64,
+        memory=memory, scale_free=False,
     )  # fmt: skip
 
 
@@ -158,15 +159,15 @@ _SMALL = 0.02
 
 def _corrected(arena: str, minutes: float, usual: dict[str, Any], otherwise: tuple[str, ...]) -> Recipe:
     """Return the recipe of PPO for the same correction, within about what gradients need for it."""
-    options = PPOOptions(base="free", authority=_SMALL, scale_free=False)
+    options = PPOOptions(base="lqg-searched", authority=_SMALL, scale_free=False)
     config = TrainConfig(ppo=options, mirrored=True, **usual)
     return _recipe(arena, config, minutes, _EXPLORES_LITTLE, otherwise=otherwise)
 
 
 def _gradients_from_nothing(arena: str, learning_rate: float) -> Recipe:
     """Return the recipe of the analytic gradient for a linear table that is seen in full."""
-    options = AnalyticOptions(tables=64, window=192, learning_rate=learning_rate)
-    config = TrainConfig(algorithm="analytic", analytic=options, episode=20.0, total_steps=15_728_640)
+    options = APGOptions(tables=64, window=192, learning_rate=learning_rate)
+    config = TrainConfig(algorithm="apg", apg=options, episode=20.0, total_steps=15_728_640)
     why = f"windows of a second, whose end costs half a percent less; {_WHOLE_NOISE}"
     return _recipe(arena, config, 3.0, why)
 
@@ -214,47 +215,45 @@ RECIPES: tuple[Recipe, ...] = (
     # With the printed equations a horizon of 0.3 s costs 3.4 % (`lookahead`), of half a second 1.4.
     _gradients_from_nothing("as-printed", 4e-4),
     _ppo_from_nothing("as-printed", 7.0, 0.5),
-    _recipe("friction", TrainConfig(algorithm="analytic", analytic=_BIASED), 6.0, _BIASES),
+    _recipe("friction", TrainConfig(algorithm="apg", apg=_BIASED), 6.0, _BIASES),
     _recipe(
         "friction",
-        TrainConfig(algorithm="analytic", analytic=_BIASED),
+        TrainConfig(algorithm="apg", apg=_BIASED),
         6.0,
         f"minds the force two and a half times as much, which costs next to nothing; {_BIASES}",
-        label="analytic-force",
+        label="apg-force",
         otherwise=("objective.force_weight=2.5",),
     ),
     _ppo_from_nothing("friction", 7.0, biases=True),
     _recipe(
         "friction-coarse",
-        TrainConfig(algorithm="analytic", analytic=replace(_BIASED, learning_rate=3e-4)),
+        TrainConfig(algorithm="apg", apg=replace(_BIASED, learning_rate=3e-4)),
         2.0,
         f"{_BIASES}; a third of the step, for gradients through coarse steps are steep",
     ),
     _ppo_from_nothing("friction-coarse", 5.0, biases=True),
     _recipe(
         "laboratory",
-        TrainConfig(
-            algorithm="analytic", analytic=_correction(authority=0.3), total_steps=6_144_000, **_WHOLE
-        ),
+        TrainConfig(algorithm="apg", apg=_correction(authority=0.3), total_steps=6_144_000, **_WHOLE),
         4.0,
         "corrects the best law that a search found",
         otherwise=_EARLY,
     ),
     _recipe(
         "laboratory",
-        TrainConfig(algorithm="analytic", analytic=_correction(), total_steps=6_144_000, **_STROKE),
+        TrainConfig(algorithm="apg", apg=_correction(), total_steps=6_144_000, **_STROKE),
         5.0,
         "minds the force thirty times as much, for a specimen feels nothing else; and holds its place "
         "on motions that use all of the stroke",
-        label="analytic-force",
+        label="apg-force",
         otherwise=("objective.force_weight=30", *_SOFT),
     ),
     _corrected("laboratory", 3.0, _WHOLE, _EARLY),
     _recipe(
         "unknown-specimen",
         TrainConfig(
-            algorithm="analytic",
-            analytic=_correction(memory=64, authority=0.1),
+            algorithm="apg",
+            apg=_correction(memory=64, authority=0.1),
             total_steps=6_144_000,
             **_STROKE,
         ),
@@ -267,7 +266,7 @@ RECIPES: tuple[Recipe, ...] = (
         "unknown-specimen",
         TrainConfig(
             algorithm="recurrent-ppo",
-            recurrent_ppo=RecurrentPPOOptions(base="free", authority=_SMALL),
+            recurrent_ppo=RecurrentPPOOptions(base="lqg-searched", authority=_SMALL),
             total_steps=2_000_000,
             **_STROKE,
         ),
@@ -277,9 +276,7 @@ RECIPES: tuple[Recipe, ...] = (
     ),
     _recipe(
         "yielding",
-        TrainConfig(
-            algorithm="analytic", analytic=_correction(authority=0.3), total_steps=4_915_200, **_WHOLE
-        ),
+        TrainConfig(algorithm="apg", apg=_correction(authority=0.3), total_steps=4_915_200, **_WHOLE),
         4.0,
         "corrects the best law that a search found",
         otherwise=_EARLY,
@@ -292,9 +289,9 @@ RECIPES: tuple[Recipe, ...] = (
             "yielding",
             TrainConfig(
                 algorithm=algorithm,
-                sac=SACOptions(base="free", authority=_SMALL),
-                td3=TD3Options(base="free", authority=_SMALL),
-                tqc=TQCOptions(base="free", authority=_SMALL),
+                sac=SACOptions(base="lqg-searched", authority=_SMALL),
+                td3=TD3Options(base="lqg-searched", authority=_SMALL),
+                tqc=TQCOptions(base="lqg-searched", authority=_SMALL),
                 mirrored=True,
                 **_WHOLE,
             ),

@@ -15,15 +15,15 @@ from agents.evaluation.result_files import PREFIX, read_result, write_result
 from agents.experiments.recipes import Arena
 from agents.run_directory import POLICY
 from agents.seeds import TEST_SEED
-from baselines.lqr import oracle as clairvoyant
+from baselines.lqr import oracle
 from baselines.registry import tuned_parameters
 from shake_env.errors import ParameterError
 from shake_env.scenario.scenario import Scenario
 
-CLAIRVOYANT_DESIGN = {
-    "position": clairvoyant.POSITION,
-    "friction_position": clairvoyant.FRICTION_POSITION,
-    "preview": clairvoyant.PREVIEW,
+ORACLE_DESIGN = {
+    "position": oracle.POSITION,
+    "friction_position": oracle.FRICTION_POSITION,
+    "preview": oracle.PREVIEW,
 }
 
 
@@ -65,7 +65,7 @@ def evaluate_arena(
     if file.exists() and not again:
         known = _read(file, arena)
     missing = [row for row in rows if known is None or not _holds(row, known["identity"], scenario)]
-    same_floor = known is not None and known["identity"]["clairvoyant"] == CLAIRVOYANT_DESIGN
+    same_floor = known is not None and known["identity"]["oracle"] == ORACLE_DESIGN
     if known is not None and not missing and same_floor:
         return file, known, False
     result = evaluate(
@@ -84,7 +84,7 @@ def evaluate_arena(
 def _read(file: Path, arena: Arena) -> dict[str, Any]:
     known = read_result(file)
     identity: Any = known.get("identity")
-    complete = isinstance(identity, dict) and {"arena", "clairvoyant", "rows", "tuned"} <= set(identity)
+    complete = isinstance(identity, dict) and {"arena", "oracle", "rows", "tuned"} <= set(identity)
     if not complete or identity["arena"] != _asked(arena):
         raise ParameterError(
             "results",
@@ -134,7 +134,7 @@ def _identity(result: dict[str, Any], arena: Arena) -> dict[str, Any]:
     tuned = {name: tuned_parameters(name, scenario) for name in rows if not rows[name]}
     return {
         "arena": _asked(arena),
-        "clairvoyant": CLAIRVOYANT_DESIGN,
+        "oracle": ORACLE_DESIGN,
         "rows": rows,
         "tuned": tuned,
     }

@@ -116,7 +116,7 @@ _PROXIMAL: tuple[Knob, ...] = (
 )
 _SOFT: tuple[Knob, ...] = (replace(_RATE, high=2e-3), _SHORT, _AUTHORITY, _UPDATES, _ENTROPY)
 _SPACES: dict[str, tuple[Knob, ...]] = {
-    "analytic": (
+    "apg": (
         _RATE,
         replace(_SHORT, low=0.5, high=20.0),
         Range(name="window", meaning="window [periods]", low=32, high=384, whole=True),

@@ -11,7 +11,7 @@ from agents.policies.estimated_law import EstimatedLaw
 from baselines.lqr.preview import PreviewFeedback
 from baselines.lqr.sampled import action_row, sampled_lqr
 from baselines.registry import make_baseline, parameter_values
-from baselines.searched_lqg import FREE, found_by_search
+from baselines.searched_lqg import LQG_SEARCHED
 from shake_env.model.parameters import FloatArray
 from shake_env.scenario.overrides import make_scenario
 from shake_env.scenario.scenario import Scenario
@@ -24,8 +24,8 @@ def base_law(
 
     Its parameters are what was tuned for exactly `tuned_on` (None: the scenario itself).
     """
-    seen = scenario.sensing.full_state and not scenario.delay
-    if law in ("lqg", "lqg-accommodating") or (law == FREE and not seen):
+    full_state = scenario.sensing.full_state and not scenario.delay
+    if law in ("lqg", "lqg-dac") or (law == LQG_SEARCHED and not full_state):
         parameters = parameter_values(law, tuned_on or scenario).parameters
         return EstimatedLaw.of(law, scenario, parameters)
     return base_row(law, scenario, tuned_on)
@@ -49,16 +49,14 @@ def base_row(law: BaseLaw, scenario: Scenario, tuned_on: Scenario | None = None)
     ``flow`` is the current whose steady flow is what the table's own velocity uses,
     ``u = A_p v_a / (K_q K_v)``: it leaves the policy the flow that accelerates the table. ``lqr`` is the
     sampled-data LQR, so that the policy is a residual on top of it (Silver et al., Residual Policy
-    Learning, 2018); ``preview-lqr`` adds target preview, and ``free`` is the design found by search.
+    Learning, 2018); ``preview-lqr`` adds target preview, and ``lqg-searched`` is the design that an
+    independent search found.
     """
     if law == "none":
         return np.zeros(scenario.observation.size)
-    if law in ("preview-lqr", FREE):
+    if law in ("preview-lqr", LQG_SEARCHED):
         parameters = parameter_values(law, tuned_on or scenario).parameters
-        if law == FREE:
-            controller = found_by_search(scenario, parameters=parameters)
-        else:
-            controller = make_baseline(law, scenario, parameters)
+        controller = make_baseline(law, scenario, parameters)
         assert isinstance(controller, PreviewFeedback)
         return controller.row
     layout, actuator = scenario.plant.layout, scenario.actuator

@@ -18,7 +18,6 @@ import numpy as np
 from baselines.estimation.lqg import EstimatedState
 from baselines.lqr.preview import PreviewFeedback
 from baselines.registry import make_baseline
-from baselines.searched_lqg import FREE, found_by_search
 from shake_env.dynamics.linear import as_like
 from shake_env.errors import ScenarioError
 from shake_env.model.parameters import FloatArray
@@ -51,7 +50,7 @@ class EstimatedLaw:
     def of(
         cls, name: str, scenario: Scenario, parameters: Mapping[str, float] | None = None
     ) -> EstimatedLaw:
-        """Return the law of a controller's name, as `make_baseline` or the search designs it.
+        """Return the law of a controller's name, as `make_baseline` designs it.
 
         Its `parameters` are those of these; None takes what was tuned for exactly this scenario.
 
@@ -60,10 +59,7 @@ class EstimatedLaw:
         ScenarioError
             If that is no linear law on an estimate.
         """
-        if name == FREE:
-            controller = found_by_search(scenario, parameters=parameters)
-        else:
-            controller = make_baseline(name, scenario, parameters)
+        controller = make_baseline(name, scenario, parameters)
         if not isinstance(controller, EstimatedState) or not isinstance(controller.law, PreviewFeedback):
             raise ScenarioError("base", name, "is no linear law behind an estimator on this scenario")
         return _matrices(scenario, controller, controller.law.row)

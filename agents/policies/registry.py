@@ -1,28 +1,110 @@
-"""What a word of the command line stands for: a law, a policy that ships, a file, or an own class."""
+"""The one registry of controllers: what a name, a path or MODULE:CLASS stands for."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
+from typing import Literal
 
 from agents.policies.own_controller import is_own_controller, own_baseline
 from agents.policies.policy_file import load_policy
 from agents.run_directory import policy_of_run
 from baselines.catalogue import BASELINES
-from baselines.registry import ParameterValues, designed, parameter_values
-from baselines.searched_lqg import FOUND, FREE, found_by_search
+from baselines.lqr.oracle import oracle_controller
+from baselines.registry import (
+    CLASSICAL,
+    ParameterValues,
+    baseline_of,
+    designed,
+    parameter_values,
+)
+from baselines.searched_lqg import SUMMARIES
 from baselines.tuned_values import TunedValues
 from shake_env.controller import Controller
 from shake_env.errors import ScenarioError, unknown
+from shake_env.renamed import CONTROLLERS, renamed
 from shake_env.rollout import Earthquake
 from shake_env.scenario.digest import known_name
 from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import Scenario
 
+ORACLE = "oracle"  # what regret is counted from, see `baselines.lqr.oracle`
+SHIPPED = ("ppo", "apg", "sac")  # algorithms whose policies come with the package
 
-def named_controller(
+
+@dataclass(frozen=True)
+class ControllerEntry:
+    """What a name stands for.
+
+    ``classical`` is designed from the model (`baselines.registry.CLASSICAL`), ``oracle`` likewise for
+    the true plants; ``shipped`` is a policy that comes with the package; ``own`` a class of the user's
+    (`agents.policies.own_controller`); ``file`` a policy file or run directory.
+    """
+
+    name: str
+    kind: Literal["classical", "oracle", "shipped", "own", "file"]
+    summary: str = ""
+    tests: int = 1  # of each earthquake that using it takes, the one that counts included
+
+    @property
+    def is_designed(self) -> bool:
+        """Whether it has parameters with values of `values_for`."""
+        return self.kind in ("classical", "own")
+
+    @property
+    def needs_earthquakes(self) -> bool:
+        """Whether it is made for given earthquakes, not for any."""
+        return self.kind == "oracle" or self.tests > 1
+
+
+@lru_cache
+def controllers() -> dict[str, ControllerEntry]:
+    """Return every controller that has a name, classical ones first."""
+    entries = [
+        ControllerEntry(name, "classical", each.summary, each.tests) for name, each in BASELINES.items()
+    ]
+    entries += [ControllerEntry(name, "classical", summary) for name, summary in SUMMARIES.items()]
+    entries.append(
+        ControllerEntry(ORACLE, "oracle", "not a competitor: true plant, full state, 0.5 s of preview")
+    )
+    for name in SHIPPED:
+        files = dict.fromkeys(shipped_policy(name, scenario).stem for scenario in NAMED)
+        summary = f"learned; as the scenario has it: {', '.join(files)}"
+        entries.append(ControllerEntry(name, "shipped", summary))
+    return {entry.name: entry for entry in entries}
+
+
+def find_controller(name: str, *others: str) -> ControllerEntry:
+    """Return what a name stands for.
+
+    Parameters
+    ----------
+    name
+        Of `controllers`, ``module:Class`` or ``file.py:Class``, or the path of a policy file or run
+        directory.
+    others
+        Further words that an error lists as known.
+
+    Raises
+    ------
+    ScenarioError
+        If it is none of these.
+    """
+    name = renamed("controller", name, CONTROLLERS)
+    known = controllers()
+    if name in known:
+        return known[name]
+    if is_own_controller(name):
+        return ControllerEntry(name, "own")
+    if Path(name).exists() or "/" in name or "." in name:
+        return ControllerEntry(name, "file")
+    raise unknown(ScenarioError, "controller", name, [*known, *others])
+
+
+def get_controller(
     name: str,
     scenario: Scenario,
     earthquakes: Sequence[Earthquake] | None = None,
@@ -33,9 +115,7 @@ def named_controller(
     Parameters
     ----------
     name
-        Of `baselines.catalogue`, ``free`` or ``free-force`` (`baselines.searched_lqg`), a family of
-        policies that ship (`agents.policies.registry`), ``module:Class`` or ``file.py:Class``
-        (`agents.policies.own_controller`), or the path of a policy file or run directory.
+        As `find_controller` takes it; not the oracle, which has a scenario of its own (`get_driven`).
     scenario
         What it drives.
     earthquakes
@@ -50,61 +130,56 @@ def named_controller(
     PolicyFileError
         If a policy cannot be read or does not fit the scenario.
     """
-    if parameters is None and (values := values_for(name, scenario)) is not None:
-        parameters = values.parameters
-    if name in FOUND:
-        return found_by_search(scenario, name, parameters)
-    if has_parameters(name):
-        baseline = BASELINES[name] if name in BASELINES else own_baseline(name)
-        return designed(name, baseline, scenario, parameters or {}, earthquakes)
-    require_controller(name)
-    policy = load_policy(file_of(name, known_name(scenario)))
+    entry = find_controller(name)
+    if entry.kind == "oracle":
+        raise ScenarioError("controller", name, "is made for given earthquakes: use shake compare")
+    if entry.is_designed:
+        classical = entry.kind == "classical"
+        baseline = baseline_of(entry.name, scenario) if classical else own_baseline(entry.name)
+        if parameters is None:
+            parameters = parameter_values(entry.name, scenario).parameters
+        return designed(entry.name, baseline, scenario, parameters, earthquakes)
+    policy = load_policy(policy_path(entry.name, known_name(scenario)))
     policy.check(scenario)
     return policy
 
 
-def has_parameters(name: str) -> bool:
-    """Return whether a word names a design with parameters, not a policy."""
-    return name in BASELINES or name in FOUND or is_own_controller(name)
+def get_driven(
+    name: str,
+    scenario: Scenario,
+    earthquakes: Sequence[Earthquake],
+    parameters: Mapping[str, float] | None = None,
+) -> tuple[Scenario, Controller]:
+    """Return the scenario that a controller is run on, and the controller; see `get_controller`.
+
+    The scenario differs for the oracle alone: it observes the full state and a preview.
+    """
+    if find_controller(name).kind == "oracle":
+        return oracle_controller(scenario, earthquakes)
+    return scenario, get_controller(name, scenario, earthquakes, parameters)
 
 
 def values_for(
     name: str, scenario: Scenario, tuned: TunedValues | None = None
 ) -> ParameterValues | None:
-    """Return the parameter values of a controller's name and their source; None for a policy.
+    """Return a controller's parameter values and their source; None for a policy and the oracle.
 
     See `baselines.registry.parameter_values`.
     """
-    if not has_parameters(name):
-        return None
-    return parameter_values(FREE if name in FOUND else name, scenario, tuned)
+    entry = find_controller(name)
+    return parameter_values(entry.name, scenario, tuned) if entry.is_designed else None
 
 
-def require_controller(name: str, *others: str) -> None:
-    """Raise ScenarioError where a word is no controller's name, none of the `others` and no path."""
-    known = [*BASELINES, *FOUND, *SHIPPED, *others]
-    path = is_own_controller(name) or Path(name).exists() or "/" in name or "." in name
-    if name not in known and not path:
-        raise unknown(ScenarioError, "controller", name, known)
-
-
-def file_of(name: str, scenario_name: str = "linear") -> Path:
-    """Return the file of a policy that ships, as the scenario has it, or that a path stands for.
+def policy_path(name: str, scenario_name: str = "linear") -> Path:
+    """Return the file of a policy: one that ships, as the scenario has it, or that of a path.
 
     A run directory stands for its policy; while it is not finished, for the best one so far.
     """
+    name = renamed("controller", name, CONTROLLERS)
     if name in SHIPPED:
         return shipped_policy(name, scenario_name)
     path = Path(name)
     return policy_of_run(path) if path.is_dir() else path
-
-
-# Families by their names for the commands, and the algorithms of their files: one of each a scenario.
-SHIPPED: dict[str, tuple[str, ...]] = {
-    "policy": ("ppo", "recurrent-ppo"),
-    "analytic": ("analytic",),
-    "off-policy": ("sac", "tqc", "td3"),
-}
 
 
 @lru_cache
@@ -113,18 +188,40 @@ def _trained_on(scenario_name: str) -> str:
     return (NAMED[scenario_name]().train_on if scenario_name in NAMED else None) or scenario_name
 
 
-def shipped_policy(name: str = "policy", scenario_name: str = "linear") -> Path:
+def shipped_policy(algorithm: str = "ppo", scenario_name: str = "linear") -> Path:
     """Return the file of a policy that comes with the package.
 
     Parameters
     ----------
-    name
+    algorithm
         Of `SHIPPED`.
     scenario_name
         Whose policy is asked for. The records are driven by the laboratory's, for nothing is trained on
         them; a scenario without a policy of its own gets the linear table's, if it fits.
+
+    Raises
+    ------
+    ScenarioError
+        If no policy of that algorithm comes with the package.
     """
+    algorithm = renamed("controller", algorithm, CONTROLLERS)
+    if algorithm not in SHIPPED:
+        raise unknown(ScenarioError, "shipped policy", algorithm, SHIPPED)
     folder = Path(str(resources.files("agents").joinpath("pretrained")))
-    trained = _trained_on(scenario_name)
-    files = [folder / f"{of}-{by}.safetensors" for of in (trained, "linear") for by in SHIPPED[name]]
-    return next(file for file in files if file.is_file())
+    own = folder / f"{_trained_on(scenario_name)}-{algorithm}.safetensors"
+    return own if own.is_file() else folder / f"linear-{algorithm}.safetensors"
+
+
+__all__ = [
+    "CLASSICAL",
+    "ORACLE",
+    "SHIPPED",
+    "ControllerEntry",
+    "controllers",
+    "find_controller",
+    "get_controller",
+    "get_driven",
+    "policy_path",
+    "shipped_policy",
+    "values_for",
+]

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from agents.evaluation.bootstrap import mean_interval
 from agents.evaluation.comparison import Histories
-from agents.evaluation.controller_set import CLAIRVOYANT
 from agents.evaluation.fidelity import spectrum
 from agents.evaluation.results import Comparison
 from agents.policies.policy_file import PolicyFile, load_policy
-from agents.policies.registry import SHIPPED, file_of
+from agents.policies.registry import ORACLE, SHIPPED, policy_path
 from agents.reporting.report_estimates import Drawn, TransferEstimate, lqr_frontier
 from agents.reporting.report_traces import Channel, Curves, achieved_curves, target_curves
 from agents.reporting.summary_text import Verdict, verdict
@@ -114,7 +113,7 @@ class Report:
         """At most four controllers that curves begin with: the best, the reference, the next best."""
         rows = {s.controller: s.relative_cost for s in self.comparison.summaries
                 if s.group == self.verdict.group}  # fmt: skip
-        by_cost = sorted((n for n in rows if n not in ("none", CLAIRVOYANT)), key=lambda n: rows[n])
+        by_cost = sorted((n for n in rows if n not in ("none", ORACLE)), key=lambda n: rows[n])
         first = dict.fromkeys([self.verdict.winner, self.comparison.reference, *by_cost])
         chosen = list(first)[:4]
         return [name for name in self.controllers if name in chosen]
@@ -217,7 +216,7 @@ def policy_files_of(episodes: Iterable[str], scenario_name: str) -> dict[str, Po
     """Return the policies among the controllers' names, those that ship as the scenario has them."""
     found = {}
     for name in episodes:
-        file = file_of(name, scenario_name)
+        file = policy_path(name, scenario_name)
         if name not in SHIPPED and file.suffix != ".safetensors":
             continue
         try:

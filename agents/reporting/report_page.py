@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 
 import shake_env
 from agents.evaluation.bootstrap import mean_interval
-from agents.evaluation.controller_set import CLAIRVOYANT
 from agents.evaluation.results import GroupSummary
 from agents.figure_style import PLOTLY, figure_style
+from agents.policies.registry import ORACLE
 from agents.reporting.report import Report
 from agents.reporting.report_data import page_data
 from agents.reporting.report_figures import stills
@@ -158,7 +158,7 @@ def _tables(report: Report) -> str:
 def _table(report: Report, group: str) -> str:
     rows = [row for row in report.comparison.summaries if row.group == group]
     members = [i for i, each in enumerate(report.comparison.groups) if each == group]
-    least = min(row.relative_cost for row in rows if row.controller != CLAIRVOYANT)
+    least = min(row.relative_cost for row in rows if row.controller != ORACLE)
     reference = escape(report.labels[report.comparison.reference])
 
     def error(field: str) -> Callable[[GroupSummary], Cell]:
@@ -191,7 +191,7 @@ def _table(report: Report, group: str) -> str:
     )
     lines = []
     for row in rows:
-        best = row.relative_cost == least and row.controller != CLAIRVOYANT
+        best = row.relative_cost == least and row.controller != ORACLE
         mark = ' class="best"' if best else ""
         cells = "".join(f"<td>{cell(row)}</td>" for _, cell in columns)
         lines.append(
@@ -200,8 +200,8 @@ def _table(report: Report, group: str) -> str:
     number = rows[0].earthquakes
     title = f"{group[:1].upper()}{group[1:]}, {number} earthquake{'s' if number != 1 else ''}"
     note = "the least cost in bold"
-    if any(row.controller == CLAIRVOYANT for row in rows):
-        note += "; the clairvoyant knows plant and target, and is no candidate"
+    if any(row.controller == ORACLE for row in rows):
+        note += "; the oracle knows plant and target, and is no candidate"
     return (
         f'<div class="scroll" tabindex="0" role="region" aria-label="Table: {title}"><table>\n'
         f"<caption>{title}; {note}.</caption>\n"

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from agents.evaluation.bootstrap import cost_ratio
-from agents.evaluation.controller_set import CLAIRVOYANT
 from agents.evaluation.results import Comparison, GroupSummary
+from agents.policies.registry import ORACLE
 from shake_env.scenario.scenario import Scenario
 
 NEAR = 0.9  # share of a limit from which on it counts as what limits a test
@@ -38,7 +38,7 @@ def main_group(comparison: Comparison) -> str:
 def verdict(comparison: Comparison, scenario: Scenario, label: Callable[[str], str] = str) -> Verdict:
     """Return the verdict of a comparison.
 
-    The clairvoyant knows each plant and the coming target, and is no candidate. Intervals are 95 %
+    The oracle knows each plant and the coming target, and is no candidate. Intervals are 95 %
     bootstrap intervals over earthquakes, paired.
 
     Parameters
@@ -53,7 +53,7 @@ def verdict(comparison: Comparison, scenario: Scenario, label: Callable[[str], s
     group = main_group(comparison)
     rows = {s.controller: s for s in comparison.summaries if s.group == group}
     candidates = sorted(
-        (row for name, row in rows.items() if name != CLAIRVOYANT), key=lambda row: row.relative_cost
+        (row for name, row in rows.items() if name != ORACLE), key=lambda row: row.relative_cost
     )
     best = candidates[0]
     return Verdict(
@@ -61,7 +61,7 @@ def verdict(comparison: Comparison, scenario: Scenario, label: Callable[[str], s
         group=group,
         wins=_wins(comparison, candidates, group, label),
         loses=_loses(comparison, candidates, group, label),
-        limits=_limits(best, rows.get(CLAIRVOYANT), scenario, label),
+        limits=_limits(best, rows.get(ORACLE), scenario, label),
     )
 
 

@@ -99,7 +99,7 @@ def windowed_cost(scenario: Scenario, window: int, discount: float | None = None
         As `windowed_law` does, or if that law does not hold the table.
     """
     if discount is None:
-        discount = TrainConfig(algorithm="analytic").discount(scenario.control_period)
+        discount = TrainConfig(algorithm="apg").discount(scenario.control_period)
     return _ratio(
         scenario, ScaledProblem.of(scenario.discrete), windowed_law(scenario, window, discount)
     )

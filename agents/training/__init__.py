@@ -6,7 +6,7 @@ __getattr__, __all__ = names_of(
     __name__,
     {
         "algorithm_options": (
-            "AnalyticOptions",
+            "APGOptions",
             "PPOOptions",
             "RecurrentPPOOptions",
             "SACOptions",

@@ -28,7 +28,7 @@ class ProximalOptions:
     """Clip range of the probability ratio [-]."""
     base: BaseLaw = "none"
     """Law that the policy corrects: none (from scratch); on the full state flow (the current that the
-    table's own velocity uses), lqr or preview-lqr; lqg or lqg-accommodating, behind an estimator whose
+    table's own velocity uses), lqr or preview-lqr; lqg or lqg-dac, behind an estimator whose
     beliefs the policy is then shown as well; free, what a search found for the scenario."""
     authority: float = 1.0
     """What the policy can add to that law, as a fraction of the current limit."""
@@ -124,7 +124,7 @@ class TQCOptions(SACOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AnalyticOptions:
+class APGOptions:
     """Analytic policy gradient: back-propagation through the plant (see `analytic_gradient`)."""
 
     tables: int = 128

@@ -15,7 +15,7 @@ from agents.run_directory import CONFIG, described, read_json
 from agents.scenario_options import ScenarioOptions
 from agents.seeds import MOST_RUNS
 from agents.training.algorithm_options import (
-    AnalyticOptions,
+    APGOptions,
     PPOOptions,
     RecurrentPPOOptions,
     SACOptions,
@@ -25,7 +25,7 @@ from agents.training.algorithm_options import (
 from shake_env.errors import ParameterError, RunDirectoryError
 from shake_env.model.parameters import require_non_negative, require_positive
 
-Options = PPOOptions | SACOptions | TD3Options | TQCOptions | RecurrentPPOOptions | AnalyticOptions
+Options = PPOOptions | SACOptions | TD3Options | TQCOptions | RecurrentPPOOptions | APGOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +38,7 @@ class TrainConfig:
         If a number is outside its range.
     """
 
-    algorithm: Literal["ppo", "sac", "td3", "tqc", "recurrent-ppo", "analytic"] = "ppo"
+    algorithm: Literal["ppo", "sac", "td3", "tqc", "recurrent-ppo", "apg"] = "ppo"
     """Learning algorithm."""
     scenario: ScenarioOptions = field(default_factory=ScenarioOptions)
     """What is learned on."""
@@ -52,8 +52,8 @@ class TrainConfig:
     """Options of TQC, used with --algorithm tqc."""
     recurrent_ppo: RecurrentPPOOptions = field(default_factory=RecurrentPPOOptions)
     """Options of PPO with a memory, used with --algorithm recurrent-ppo."""
-    analytic: AnalyticOptions = field(default_factory=AnalyticOptions)
-    """Options of the analytic policy gradient, used with --algorithm analytic."""
+    apg: APGOptions = field(default_factory=APGOptions)
+    """Options of the analytic policy gradient, used with --algorithm apg."""
     start: str | None = None
     """Policy to begin with instead of nothing: a policy file, a run directory or the name of one that
     ships. The actor takes its weights; a critic begins anew."""
@@ -103,7 +103,7 @@ class TrainConfig:
             "initial_log_std", "target_entropy", "base", "scale_free", "terminal_value", "memory",
             "precision", "device", "dropped", "checkpoint", "critic_first",
         )  # fmt: skip
-        every = (self.ppo, self.sac, self.td3, self.tqc, self.recurrent_ppo, self.analytic)
+        every = (self.ppo, self.sac, self.td3, self.tqc, self.recurrent_ppo, self.apg)
         for options in every:
             require_positive(options, *(name for name in vars(options) if name not in not_positive))
         require_non_negative(self, "seed", "artificial")
@@ -113,14 +113,14 @@ class TrainConfig:
                 self.seed,
                 f"artificial earthquakes from seed {MOST_RUNS} on are those that runs are judged by",
             )
-        require_non_negative(self.analytic, "memory", "checkpoint")
+        require_non_negative(self.apg, "memory", "checkpoint")
         require_non_negative(self.tqc, "dropped")
         if self.tqc.dropped >= self.tqc.quantiles:
             raise ParameterError("dropped", self.tqc.dropped, "must leave a quantile of each critic")
         if not 0.0 <= (share := self.ppo.critic_first) < 1.0:
             raise ParameterError("critic_first", share, "is a share of the run: 0 or more, below 1")
-        if self.analytic.warmup >= 1.0:
-            raise ParameterError("warmup", self.analytic.warmup, "is a share of the run: below 1")
+        if self.apg.warmup >= 1.0:
+            raise ParameterError("warmup", self.apg.warmup, "is a share of the run: below 1")
         for options in every:
             if not 0.0 < options.authority <= 1.0:
                 raise ParameterError("authority", options.authority, "must lie above 0 and not above 1")
@@ -139,18 +139,18 @@ class TrainConfig:
     def remembers(self) -> bool:
         """Whether the policy has a memory."""
         recurrent = self.algorithm == "recurrent-ppo"
-        return recurrent or (self.algorithm == "analytic" and self.analytic.memory > 0)
+        return recurrent or (self.algorithm == "apg" and self.apg.memory > 0)
 
     @property
     def steps(self) -> int:
         """Control periods to train for."""
-        usual = {"ppo": 4_000_000, "recurrent-ppo": 3_000_000, "analytic": 12_288_000}
+        usual = {"ppo": 4_000_000, "recurrent-ppo": 3_000_000, "apg": 12_288_000}
         return self.total_steps or usual.get(self.algorithm, 250_000)
 
     @property
     def lookahead(self) -> float:
         """Horizon of the discount [s]."""
-        return self.horizon or (5.0 if self.algorithm == "analytic" else 0.25)
+        return self.horizon or (5.0 if self.algorithm == "apg" else 0.25)
 
     def discount(self, control_period: float) -> float:
         """Return gamma for a control period [s]."""

@@ -84,7 +84,7 @@ ALGORITHMS: dict[str, type[Model]] = {
     "td3": WarmTD3,
     "tqc": WarmTQC,
     "recurrent-ppo": RecurrentPPO,
-    "analytic": AnalyticPolicyGradient,
+    "apg": AnalyticPolicyGradient,
 }
 
 
@@ -148,7 +148,7 @@ def new_model(
         return proximal
     if config.algorithm == "recurrent-ppo":
         return _recurrent(config, policy, env, gamma)
-    if config.algorithm == "analytic":
+    if config.algorithm == "apg":
         return _analytic(config, policy, env, gamma)
     return _off_policy(config, policy, env, gamma)
 
@@ -235,7 +235,7 @@ def _recurrent(
 def _analytic(
     config: TrainConfig, policy: dict[str, Any], env: ShakeTableVecEnv, gamma: float
 ) -> AnalyticPolicyGradient:
-    analytic = config.analytic
+    analytic = config.apg
     kind: type[ActorCriticPolicy]
     if analytic.memory:
         kind, policy = GRUPolicy, {**policy, "units": analytic.memory}

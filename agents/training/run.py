@@ -53,7 +53,7 @@ from agents.training.model_factory import Model, new_model
 from agents.training.policy_export import export_policy
 from agents.training.progress import example_figure
 from agents.training.warm_start import begin_with, first_file
-from baselines.lqr.oracle import clairvoyant
+from baselines.lqr.oracle import oracle_controller
 from baselines.lqr.sampled import lqr
 from shake_env.errors import RunDirectoryError
 from shake_env.motion.targets import FilteredNoise, MotionSet
@@ -70,7 +70,7 @@ class TrainResult:
     seconds: float
     cost_ratio: float
     cost: float
-    reference: str  # LQR, or the clairvoyant where LQR is none (see _reference)
+    reference: str  # LQR, or the oracle where LQR is none (see _reference)
     reference_cost: float
     best_steps: int  # at which the policy that is kept was evaluated; its are the costs above
 
@@ -300,7 +300,7 @@ class _Watch(BaseCallback):
         if config.artificial:
             others = artificial_motions(scenario, config.artificial, EVALUATION_SEED)
             self.earthquakes += [Earthquake(m.source.name, m) for m in others]
-        self.reference = "LQR" if lqr_suits(self.scenario) else "clairvoyant"
+        self.reference = "LQR" if lqr_suits(self.scenario) else "oracle"
         self.earthquakes, self.reference_cost = _reference(self.scenario, self.earthquakes)
         self.started = time.monotonic()
         self.saved = self.told = -np.inf
@@ -377,7 +377,7 @@ class _Watch(BaseCallback):
 
 
 def lqr_suits(scenario: Scenario) -> bool:
-    """Return whether costs are relative to LQR's, and not to the clairvoyant's (see `_reference`)."""
+    """Return whether costs are relative to LQR's, and not to the oracle's (see `_reference`)."""
     suits = scenario.sensing.full_state and not scenario.delay and not scenario.uncertainty.active
     return suits and scenario.limits.table_displacement is None
 
@@ -385,14 +385,14 @@ def lqr_suits(scenario: Scenario) -> bool:
 def _reference(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[list[Earthquake], float]:
     """Return the earthquakes that the reference lasts through, and its mean cost on them.
 
-    The reference is LQR, or where that cannot be used as it stands, the clairvoyant: LQR needs the full
+    The reference is LQR, or where that cannot be used as it stands, the oracle: LQR needs the full
     state of a table that it knows, answers at once and may drift as far as it likes. An earthquake that
     takes the reference to a limit costs so much that it would be the whole of a mean.
     """
     if lqr_suits(scenario):
         metrics, _ = rollout(lqr(scenario), scenario, earthquakes)
     else:
-        seen, controller = clairvoyant(scenario, earthquakes)
+        seen, controller = oracle_controller(scenario, earthquakes)
         metrics, _ = rollout(controller, seen, earthquakes)
     lasting = [i for i, m in enumerate(metrics) if m.broken_limit is None] or range(len(metrics))
     return [earthquakes[i] for i in lasting], float(np.mean([metrics[i].cost for i in lasting]))

@@ -12,7 +12,7 @@ from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.policy_file import LAW, PolicyFile
 from agents.policies.recurrent_cells import PARTS, MemoryUnit
-from agents.policies.registry import file_of
+from agents.policies.registry import policy_path
 from agents.training.config import TrainConfig
 from agents.training.model_factory import Model
 from agents.training.policy_export import actor_of, export_policy
@@ -21,7 +21,7 @@ from shake_env.errors import PolicyFileError
 
 def first_file(config: TrainConfig) -> Path | None:
     """Return the file of the policy that a run begins with, or None where it begins from nothing."""
-    return None if config.start is None else file_of(config.start, config.scenario.scenario)
+    return None if config.start is None else policy_path(config.start, config.scenario.scenario)
 
 
 def begin_with(model: Model, env: ShakeTableVecEnv, policy: PolicyFile) -> None:

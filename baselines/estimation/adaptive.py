@@ -311,7 +311,9 @@ class CertaintyEquivalence:
         return slope
 
 
-def certainty_equivalence(scenario: Scenario, position: float = 0.05) -> CertaintyEquivalence:
+def certainty_equivalence(
+    scenario: Scenario, displacement_tolerance: float = 0.05
+) -> CertaintyEquivalence:
     """Return the adaptive law with the table's place weighed, where the ground has one.
 
     Raises
@@ -321,5 +323,5 @@ def certainty_equivalence(scenario: Scenario, position: float = 0.05) -> Certain
     """
     if scenario.uncertainty.mass_ratio is None and scenario.uncertainty.storey_frequency is None:
         raise ScenarioError("uncertainty", scenario.uncertainty, "has no specimen to find out: use lqg")
-    weighed = position if scenario.ground.highpass_frequency is not None else None
-    return CertaintyEquivalence(scenario, position=weighed)
+    position = None if scenario.ground.highpass_frequency is None else displacement_tolerance
+    return CertaintyEquivalence(scenario, position=position)

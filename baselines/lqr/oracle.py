@@ -30,14 +30,16 @@ FRICTION_POSITION = 0.01  # [m] where a part is nonlinear, too: holding the plac
 PREVIEW = 0.5  # [s] of samples a control period apart; a longer one gains a percent
 
 
-def seen_through(scenario: Scenario) -> Scenario:
-    """Return the scenario as the clairvoyant meets it: full state, preview, no delay, same plants."""
+def oracle_view(scenario: Scenario) -> Scenario:
+    """Return the scenario as the oracle observes it: full state, preview, no delay, same plants."""
     uncertainty = replace(scenario.uncertainty, delay=None)
     return replace(scenario, sensing=Sensing(preview=PREVIEW), delay=0.0, uncertainty=uncertainty)
 
 
-def clairvoyant(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[Scenario, Controller]:
-    """Return the scenario to run the clairvoyant on, and the clairvoyant of these earthquakes.
+def oracle_controller(
+    scenario: Scenario, earthquakes: Sequence[Earthquake]
+) -> tuple[Scenario, Controller]:
+    """Return the scenario to run the oracle on, and the oracle for these earthquakes.
 
     Parameters
     ----------
@@ -46,17 +48,17 @@ def clairvoyant(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[
     earthquakes
         One a lane of the roll-out, in order: their seeds fix the plants.
     """
-    seen = seen_through(scenario)
-    plants = true_plants(seen, earthquakes)
+    view = oracle_view(scenario)
+    plants = true_plants(view, earthquakes)
     parts = scenario.parts
     if parts.friction.active or parts.valve.flow_active:
         # Without the ground's high-pass there is no place that a table could be held in.
-        position = FRICTION_POSITION if seen.ground.states == 4 else None
-        if not seen.uncertainty.active:
-            return seen, FeedforwardLQR(seen, position=position)
+        position = FRICTION_POSITION if view.ground.states == 4 else None
+        if not view.uncertainty.active:
+            return view, FeedforwardLQR(view, position=position)
         laws = [FeedforwardLQR(plant, position=position) for plant in plants]
-        scales = np.stack([rescaling(seen, plant) for plant in plants])
-        return seen, PerLane([Rescaled(law, row) for law, row in zip(laws, scales, strict=True)])
+        scales = np.stack([rescaling(view, plant) for plant in plants])
+        return view, PerLane([Rescaled(law, row) for law, row in zip(laws, scales, strict=True)])
     rows: dict[Any, NDArray[np.float64]] = {}
     for plant in plants:
         key = (plant.actuator, plant.specimen)
@@ -65,5 +67,5 @@ def clairvoyant(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[
             if plant.limits.table_displacement is not None and plant.ground.states == 4:
                 position = FRICTION_POSITION if plant.nonlinearity.active else POSITION
             design = preview_lqr(plant.discrete, plant.stage_cost, PREVIEW, position=position)
-            rows[key] = PreviewFeedback(plant, design).row * rescaling(seen, plant)
-    return seen, _Rows(np.stack([rows[plant.actuator, plant.specimen] for plant in plants]))
+            rows[key] = PreviewFeedback(plant, design).row * rescaling(view, plant)
+    return view, _Rows(np.stack([rows[plant.actuator, plant.specimen] for plant in plants]))

@@ -139,7 +139,7 @@ def preview_lqr(
     return PreviewDesign(gain, b[0] * REFERENCE_CURRENT, stride * discrete.dt, analytic, performance)
 
 
-def clairvoyant(discrete: DiscretePlant, cost: StageCost) -> StationaryPerformance:
+def infinite_preview(discrete: DiscretePlant, cost: StageCost) -> StationaryPerformance:
     """Return what the best law that knows the whole future reaches: the floor of every preview.
 
     Raises

@@ -30,18 +30,18 @@ SHORT = {
 REFUSED = {
     ("laboratory", "lqr"): "full state",
     ("unknown-specimen", "lqr"): "full state",
-    ("laboratory", "lqr-published"): "full state",
-    ("unknown-specimen", "lqr-published"): "full state",
+    ("laboratory", "lqr-continuous"): "full state",
+    ("unknown-specimen", "lqr-continuous"): "full state",
     ("laboratory", "preview-lqr"): "full state",
     ("unknown-specimen", "preview-lqr"): "full state",
-    ("linear", "feedforward"): "nothing to feed forward",
-    ("unknown-specimen", "feedforward"): "nothing to feed forward",
-    ("yielding", "feedforward"): "nothing to feed forward",
+    ("linear", "lqr-friction-ff"): "nothing to feed forward",
+    ("unknown-specimen", "lqr-friction-ff"): "nothing to feed forward",
+    ("yielding", "lqr-friction-ff"): "nothing to feed forward",
     ("linear", "mpc"): "without limits",
     **{
         (scenario, name): "nothing to estimate"
         for scenario in ("linear", "yielding")
-        for name in ("lqg", "lqg-accommodating")
+        for name in ("lqg", "lqg-dac")
     },
     **{
         (scenario, name): "uncertainty"
@@ -52,7 +52,7 @@ REFUSED = {
 
 
 # Made for other plants or equations: with their written rules these cost more than an idle table.
-WORSE_THAN_NONE = {("linear", "lqr-published"), ("linear", "mcs"), ("yielding", "lqr-published")}
+WORSE_THAN_NONE = {("linear", "lqr-continuous"), ("linear", "mcs"), ("yielding", "lqr-continuous")}
 REFERENCES = {
     "linear": "lqr", "as-printed": "lqr", "yielding": "preview-lqr",
     "laboratory": "lqg", "unknown-specimen": "lqg", "records": "lqg",
@@ -91,7 +91,7 @@ def test_every_controller_drives_what_suits_it(name):
 
 def test_a_controller_that_repeats_its_tests_needs_them():
     with pytest.raises(ScenarioError, match="repeats its tests"):
-        make_baseline("learning", SHORT["linear"])
+        make_baseline("ilc", SHORT["linear"])
 
 
 def test_the_reference_always_suits():
@@ -142,8 +142,8 @@ def test_bench_writes_results_and_renews_a_page(tmp_path, capsys, monkeypatch):
     text = page.read_text()
     assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text
     names = re.findall(r"^\| ([\w-]+) \|", text, re.MULTILINE)
-    assert names[:2] == ["controller", "clairvoyant"]
-    assert set(names) >= {"clairvoyant", "preview-lqr", "pid", "none"}
+    assert names[:2] == ["controller", "oracle"]
+    assert set(names) >= {"oracle", "preview-lqr", "pid", "none"}
     assert names[-1] == "none"
     capsys.readouterr()
     (file,) = tmp_path.glob("*.json")
@@ -195,7 +195,7 @@ def test_lqr_as_published_needs_a_rate_of_kilohertz():
     above = {}
     for rate in (1000.0, 2000.0, 20_000.0):
         scenario = make_scenario("linear", {"control_rate": rate, "physics_step": 1.0 / rate})
-        row = make_baseline("lqr-published", scenario)._row[: scenario.plant.layout.order]
+        row = make_baseline("lqr-continuous", scenario)._row[: scenario.plant.layout.order]
         gain = -row * scenario.current_limit / scenario.plant.state_scale
         if rate == 1000.0:
             with pytest.raises(NumericalError, match="unstable"):
@@ -209,13 +209,13 @@ def test_lqr_as_published_needs_a_rate_of_kilohertz():
 
 def test_what_repeats_took_is_told():
     scenario = make_scenario("yielding", {"duration": 4.0})
-    found = compare(scenario, ("iteration", "learning"), noise=2, records=False)
+    found = compare(scenario, ("tf-iteration", "ilc"), noise=2, records=False)
     rows = {row.controller: row for row in found.summaries}
     assert math.isnan(rows["preview-lqr"].damage) and rows["preview-lqr"].tests == 1
-    assert rows["iteration"].tests == 10 and rows["learning"].tests == 8
+    assert rows["tf-iteration"].tests == 10 and rows["ilc"].tests == 8
     # six repeats near a perfect test each, the first of them less; and the identification before
-    assert 4.0 < rows["learning"].damage < 7.0
-    assert rows["iteration"].damage > 4.0
+    assert 4.0 < rows["ilc"].damage < 7.0
+    assert rows["tf-iteration"].damage > 4.0
     console = Console(record=True, width=120)
     print_tables(found, console)
     assert "times the energy of a perfect" in console.export_text()

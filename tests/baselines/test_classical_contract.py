@@ -17,7 +17,7 @@ from shake_env.simulation.simulation import Simulation
 CONTROLLERS = {
     "pid": pid,
     "tvc": tvc,
-    "inverse": InverseFeedForward,
+    "inverse-ff": InverseFeedForward,
     "inverse with feedback": lambda s: InverseFeedForward(s, InverseDesign(feedback=TVCDesign())),
     "mcs": MCS,
     "mcs bounded": lambda s: MCS(s, MCSDesign.bounded()),

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from agents.__main__ import main
-from agents.evaluation.controller_set import describe_values, named_controllers, values_to_json
+from agents.evaluation.controller_set import describe_values, get_controllers, values_to_json
 from agents.evaluation.design import design
 from agents.evaluation.robustness import controllers_of
 from agents.experiments.controller_tuning import keep, tune
 from agents.policies.base_law import at_own_cost, base_law
-from agents.policies.registry import named_controller
+from agents.policies.registry import get_controller
 from baselines.registry import make_baseline, parameter_values, tuned_parameters
-from baselines.searched_lqg import FREE, found_by_search
+from baselines.searched_lqg import LQG_SEARCHED
 from baselines.tuned_values import (
     FORMAT,
     TunedEntry,
@@ -48,13 +48,13 @@ def test_packaged_values_belong_to_the_named_scenarios_as_they_stand():
     assert len(packaged_values().entries) == 59
 
 
-@pytest.mark.parametrize("name", ["lqg", "tvc", "pid", "inverse-feedback", "free"])
+@pytest.mark.parametrize("name", ["lqg", "tvc", "pid", "inverse-ff-tvc", "lqg-searched"])
 def test_a_scenarios_name_decides_nothing(name):
     mine = replace(LABORATORY, name="mytable")
     assert parameter_values(name, mine) == parameter_values(name, LABORATORY)
     assert parameter_values(name, mine).source == "tuned"
     alias = make_scenario("linear", {"fields": {"name": "laboratory"}})
-    assert parameter_values(name, alias).source != "tuned" or name in ("tvc", "pid", "inverse-feedback")
+    assert parameter_values(name, alias).source != "tuned" or name in ("tvc", "pid", "inverse-ff-tvc")
     assert tuned_parameters(name, alias) == tuned_parameters(name, make_scenario("linear"))
 
 
@@ -62,11 +62,11 @@ def test_renamed_scenarios_cost_the_same_to_the_last_bit():
     quakes = noise_earthquakes(make_scenario("laboratory", {"duration": 0.3}), 2, seed=5)
     costs = []
     for scenario in (LABORATORY, replace(LABORATORY, name="mytable")):
-        chosen = named_controllers(["tvc", "inverse-feedback"], scenario)
+        chosen = get_controllers(["tvc", "inverse-ff-tvc"], scenario)
         assert {each.description for each in chosen.values.values()} == {"tuned on this scenario"}
         rows = {name: rollout(c, scenario, quakes)[0] for name, c in chosen.controllers.items()}
         costs.append({name: [row.cost for row in each] for name, each in rows.items()})
-    assert costs[0] == costs[1] and set(costs[0]) == {"lqg", "tvc", "inverse-feedback"}
+    assert costs[0] == costs[1] and set(costs[0]) == {"lqg", "tvc", "inverse-ff-tvc"}
 
 
 def test_a_changed_scenario_gets_the_written_rule_or_a_files_values():
@@ -137,9 +137,9 @@ def test_a_file_that_is_none_is_refused(tmp_path, text, match):
 def test_a_missing_file_and_an_unknown_parameter_are_refused(tmp_path):
     with pytest.raises(ParameterError, match="cannot be read"):
         read_tuned(tmp_path / "absent.json")
-    wrong = TunedValues("mine.json", (entry(CHANGED, "free", bandwith=1.0),))
+    wrong = TunedValues("mine.json", (entry(CHANGED, "lqg-searched", bandwith=1.0),))
     with pytest.raises(ScenarioError, match="parameter of free"):
-        named_controllers(["free"], CHANGED, tuned=wrong)
+        get_controllers(["lqg-searched"], CHANGED, tuned=wrong)
 
 
 def test_tune_compare_and_evaluate_share_a_file_on_a_changed_table(tmp_path, capsys):
@@ -179,10 +179,12 @@ def test_a_recipe_that_charges_otherwise_corrects_the_same_law():
     charged = make_scenario("yielding", {"fields": fields})
     named = make_scenario("yielding")
     assert at_own_cost(charged, "yielding") == named
-    assert parameter_values(FREE, charged).source == "rule"
-    tuned = parameter_values(FREE, named).parameters
-    expected = found_by_search(charged, parameters=tuned).row
-    np.testing.assert_array_equal(base_law(FREE, charged, at_own_cost(charged, "yielding")), expected)
+    assert parameter_values(LQG_SEARCHED, charged).source == "rule"
+    tuned = parameter_values(LQG_SEARCHED, named).parameters
+    expected = make_baseline(LQG_SEARCHED, charged, tuned).row
+    np.testing.assert_array_equal(
+        base_law(LQG_SEARCHED, charged, at_own_cost(charged, "yielding")), expected
+    )
 
 
 def test_design_says_what_the_scenario_really_runs():
@@ -210,7 +212,7 @@ def test_keep_refuses_another_kind_of_file(tmp_path):
 
 def test_parameters_that_are_given_win():
     given = {"bandwidth": 0.4, "damping": 0.25}
-    one = named_controller("tvc", LABORATORY, parameters=given)
+    one = get_controller("tvc", LABORATORY, parameters=given)
     other = make_baseline("tvc", LABORATORY, given)
     np.testing.assert_equal(vars(one).keys(), vars(other).keys())
     observation = np.full((1, LABORATORY.observation.size), 0.1, dtype=np.float32)

@@ -43,9 +43,9 @@ def test_compare_writes_what_it_prints(tmp_path, capsys):
     found = json.loads(out)
     assert json.loads((output / "comparison.json").read_text()) == found
     by_name = {row["controller"]: row for row in found["summaries"]}
-    assert set(by_name) == {"lqr", "none", "policy", "analytic", "off-policy"}
+    assert set(by_name) == {"lqr", "none", "ppo", "apg", "sac"}
     assert by_name["lqr"]["relative_cost"] == 1.0
-    none, policy = by_name["none"], by_name["policy"]
+    none, policy = by_name["none"], by_name["ppo"]
     assert none["acceleration_rms_error"] == pytest.approx(1.0, abs=1e-12)
     assert none["base_shear_rms_error"] == pytest.approx(1.0, abs=1e-12)
     assert none["relative_cost_low"] <= none["relative_cost"] <= none["relative_cost_high"]

@@ -118,15 +118,15 @@ def test_version(capsys):
 
 
 def test_list_has_a_line_for_every_name(capsys):
-    from baselines.catalogue import BASELINES
+    from baselines.registry import CLASSICAL
     from shake_env import RECORD_NAMES, SCENARIO_NAMES
 
     assert main(["list", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert tuple(found["scenarios"]) == SCENARIO_NAMES
     assert tuple(found["records"]) == RECORD_NAMES
-    assert list(found["controllers"]) == list(BASELINES)
-    assert set(found["policies"]) == {"policy", "analytic", "off-policy"}
+    assert list(found["controllers"]) == [*CLASSICAL, "oracle"]
+    assert set(found["policies"]) == {"ppo", "apg", "sac"}
     assert all(len(text) > 10 for kind in found.values() for text in kind.values())
     assert main(["list", "scenarios"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -249,7 +249,7 @@ def test_the_first_compilation_says_that_it_happens_once(tmp_path):
 
 
 HEADINGS = ("controller", *(heading.format(reference="LQG") for heading, _ in COLUMNS))
-NAMES = ("lqr", "lqg-accommodating", "a-run-with-a-long-name-of-its-own")
+NAMES = ("lqr", "lqg-dac", "a-run-with-a-long-name-of-its-own")
 ROWS = [[name, "1.234 [1.111, 1.333]", *(["12.3"] * (len(HEADINGS) - 2))] for name in NAMES]
 
 
@@ -286,13 +286,13 @@ def test_a_pipe_gets_one_unwrapped_line_a_row():
 
 
 def test_markdown_is_a_table_on_a_terminal_and_itself_in_a_pipe():
-    text = "| controller | cost |\n|---|---|\n| lqg-accommodating | 1.0 |\n\nOne sentence.\n"
+    text = "| controller | cost |\n|---|---|\n| lqg-dac | 1.0 |\n\nOne sentence.\n"
     for terminal in (False, True):
         stream = io.StringIO()
         console = OutputConsole(file=stream, force_terminal=terminal, width=40, color_system=None)
         print_markdown(console, text)
         shown = stream.getvalue()
-        assert "lqg-accommodating" in shown and "One sentence." in shown
+        assert "lqg-dac" in shown and "One sentence." in shown
         assert ("|---|" in shown) != terminal
 
 

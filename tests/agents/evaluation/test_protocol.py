@@ -39,7 +39,7 @@ def scenario():
 def two_seeds(tmp_path_factory):
     """A folder of two runs, as a campaign leaves it."""
     folder = tmp_path_factory.mktemp("runs") / "mine"
-    for seed, name in ((0, "policy"), (1, "analytic")):
+    for seed, name in ((0, "ppo"), (1, "apg")):
         (folder / str(seed)).mkdir(parents=True)
         shutil.copy(shipped_policy(name), folder / str(seed) / "policy.safetensors")
     return folder
@@ -52,16 +52,14 @@ def result(scenario, two_seeds):
 
 
 def test_costs_are_those_of_compare(scenario, result):
-    found = compare(
-        scenario, ["policy", "analytic", "none"], noise=70, records=False, seed=TEST_SEED
-    ).episodes
-    for name, runs in {"mine": ("policy", "analytic"), "lqr": ("lqr",), "none": ("none",)}.items():
+    found = compare(scenario, ["ppo", "apg", "none"], noise=70, records=False, seed=TEST_SEED).episodes
+    for name, runs in {"mine": ("ppo", "apg"), "lqr": ("lqr",), "none": ("none",)}.items():
         expected = [[m.cost for m in found[run]] for run in runs]
         # Batches of another width round otherwise.
         np.testing.assert_allclose(result["episodes"][name]["cost"], expected, rtol=1e-5)
     row = next(row for row in result["rows"] if row["controller"] == "mine")
     lqr = np.sum([m.cost for m in found["lqr"]])
-    each = [np.sum([m.cost for m in found[run]]) / lqr for run in ("policy", "analytic")]
+    each = [np.sum([m.cost for m in found[run]]) / lqr for run in ("ppo", "apg")]
     assert row["run_costs"] == pytest.approx(each, rel=1e-5)
     assert row["relative_cost"]["value"] == pytest.approx(np.mean(each), rel=1e-5)
     assert (row["runs"], row["episodes"], row["failures"]) == (2, 140, 0)
@@ -86,7 +84,7 @@ def test_a_result_says_what_it_was_made_of(result, two_seeds):
     by_name = {row["controller"]: row for row in result["rows"]}
     sources = by_name["mine"]["sources"]
     assert [s["sha256"] for s in sources] == [digest(f) for f in policy_files(two_seeds)]
-    assert [s["algorithm"] for s in sources] == ["ppo", "analytic"]
+    assert [s["algorithm"] for s in sources] == ["ppo", "apg"]
     assert by_name["lqr"]["sources"] == []
     assert 1e-6 < by_name["mine"]["decision_time"] < 1e-2
 
@@ -112,26 +110,26 @@ def test_test_earthquakes_are_nobody_elses():
     assert min(np.diff(starts)) >= 1_000_000
 
 
-def test_an_unknown_specimen_is_measured_by_the_clairvoyant():
+def test_an_unknown_specimen_is_measured_by_the_oracle():
     unknown = {"uncertainty.mass_ratio": [0.3, 0.7]}
     scenario = make_scenario("laboratory", {"duration": 2.0, "fields": unknown})
     result = evaluate(scenario, [Contestant("none")], earthquakes=3, repeats=False, resamples=50)
     assert (result["yardstick"], result["reference"], result["optimal_cost"]) == (
-        "clairvoyant", "lqg", None,
+        "oracle", "lqg", None,
     )  # fmt: skip
     by_name = {row["controller"]: row for row in result["rows"]}
     cost = {name: np.mean(e["cost"]) for name, e in result["episodes"].items()}
     for name in ("lqg", "none"):
-        expected = (cost["lqg"] - cost[name]) / (cost["lqg"] - cost["clairvoyant"])
+        expected = (cost["lqg"] - cost[name]) / (cost["lqg"] - cost["oracle"])
         # A file's numbers have seven digits, and none's share is five hundred times the regret.
         found = by_name[name]["regret_closed"]["value"]
         assert found == pytest.approx(expected, abs=1e-5, rel=1e-5)
-    assert by_name["clairvoyant"]["regret_closed"] is None
-    assert by_name["clairvoyant"]["decision_time"] is None
+    assert by_name["oracle"]["regret_closed"] is None
+    assert by_name["oracle"]["decision_time"] is None
     assert by_name["none"]["drift_error"] is None
 
 
-def test_no_regret_is_told_where_the_clairvoyant_costs_more_than_the_reference():
+def test_no_regret_is_told_where_the_oracle_costs_more_than_the_reference():
     cheap, dear = np.full((1, 4), 1.0), np.full((1, 4), 2.0)
     found = cost_figures(
         np.full((1, 4), 1.5), yardstick=dear, reference=cheap, optimum=None, resamples=10
@@ -178,8 +176,8 @@ def test_entries_are_named_grouped_and_refused(scenario, two_seeds, tmp_path):
     paths = ",".join(str(two_seeds / seed) for seed in "01")
     found = contestant(f"both={paths}", scenario)
     assert (found.name, len(found.policies)) == ("both", 2)
-    assert contestant("policy", scenario).policies[0].card == load_policy(shipped_policy()).card
-    with pytest.raises(ScenarioError, match="did you mean 'policy'"):
+    assert contestant("ppo", scenario).policies[0].card == load_policy(shipped_policy()).card
+    with pytest.raises(ScenarioError, match="did you mean 'ppo'"):
         contestant("polcy", scenario)
     with pytest.raises(PolicyFileError, match=r"holds no policy\.safetensors or best"):
         contestant(str(tmp_path), scenario)
@@ -193,7 +191,7 @@ def test_entries_are_named_grouped_and_refused(scenario, two_seeds, tmp_path):
 
 def test_the_command_writes_what_it_prints(tmp_path, capsys):
     file = tmp_path / "out" / "result.json"
-    words = ["evaluate", "policy", "--earthquakes", "3", "--duration", "1", "--no-fidelity"]
+    words = ["evaluate", "ppo", "--earthquakes", "3", "--duration", "1", "--no-fidelity"]
     assert main([*words, "--output", str(file), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert json.loads(file.read_text()) == found

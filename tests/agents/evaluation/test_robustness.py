@@ -74,7 +74,7 @@ def test_lqr_of_one_specimen_under_another_costs_what_lyapunov_says(mass, freque
 
 def test_what_is_not_changed_costs_what_shake_compare_says():
     scenario = make_scenario("laboratory", SHORT)
-    names = ("lqg-accommodating", "analytic")
+    names = ("lqg-dac", "apg")
     compared = compare(scenario, names, noise=3, records=False, seed=5_000_000)
     result = robustness(scenario, names, grid=Grid.of(scenario, ("amplitude",)), earthquakes=3)
     unchanged = at(result)
@@ -85,12 +85,12 @@ def test_what_is_not_changed_costs_what_shake_compare_says():
 
 def test_a_cost_does_not_depend_on_what_else_is_swept():
     scenario = make_scenario("linear", {"duration": 0.4})
-    few = robustness(scenario, ("analytic",), grid=Grid.of(scenario, ("delay",)), earthquakes=2)
+    few = robustness(scenario, ("apg",), grid=Grid.of(scenario, ("delay",)), earthquakes=2)
     more = Grid.of(scenario, ("delay", "noise", "amplitude"))
     assert len(more.maps) == 1
-    many = robustness(scenario, ("analytic",), grid=more, earthquakes=2)
+    many = robustness(scenario, ("apg",), grid=more, earthquakes=2)
     for delay in (0.0, 1.0):
-        for name in ("lqr", "analytic"):
+        for name in ("lqr", "apg"):
             expected = at(few, delay=delay)["cost"][name]
             assert at(many, delay=delay)["cost"][name] == pytest.approx(expected, rel=1e-5)
 
@@ -218,20 +218,20 @@ def test_an_unchanged_scenario_has_its_own_controller_and_noise():
 def test_who_is_compared_unless_told_otherwise():
     for name, rivals in RIVALS.items():
         assert set(default_controllers(make_scenario(name))) >= set(rivals)
-    assert "analytic" in default_controllers(make_scenario("laboratory"))
+    assert "apg" in default_controllers(make_scenario("laboratory"))
     chosen, sources = controllers_of((), make_scenario("linear"))
     assert next(iter(chosen.controllers)) == "lqr"
     renamed = make_scenario("laboratory", {"fields": {"name": "mytable"}})
     assert default_controllers(renamed) == default_controllers(make_scenario("laboratory"))
     assert "lqr" not in sources
-    assert len(sources["analytic"]["sha256"]) == 64
+    assert len(sources["apg"]["sha256"]) == 64
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--controllers", "clairvoyant"], "knows what is changed"),
-        (["--controllers", "iteration"], "repeats its tests"),
+        (["--controllers", "oracle"], "knows what is changed"),
+        (["--controllers", "tf-iteration"], "repeats its tests"),
         (["--quantities", "mas_ratio"], "mass_ratio"),
         (["--earthquakes", "0"], "at least 1"),
         (["--all", "--quantities", "delay"], "contradicts --all"),
@@ -248,7 +248,7 @@ def test_mistakes_name_value_and_remedy(words, message, capsys):
 def small(tmp_path_factory):
     """The command's result with a policy of a scenario that is too short to mean anything."""
     folder = tmp_path_factory.mktemp("robustness")
-    words = ["robustness", "--controllers", "analytic", "robust", "--earthquakes", "2"]
+    words = ["robustness", "--controllers", "apg", "h-infinity", "--earthquakes", "2"]
     words += ["--duration", "0.6", "--quantities", "coulomb_friction", "delay", "--output", str(folder)]
     assert main(words) == 0
     return folder, read_robustness(folder / "robustness_linear.json")
@@ -337,13 +337,13 @@ def test_a_section_shows_the_table_and_what_was_found(small):
 def test_a_card_says_where_its_policy_fails(small, tmp_path):
     folder, result = small
     file = tmp_path / "mine.safetensors"
-    file.write_bytes(shipped_policy("analytic").read_bytes())
+    file.write_bytes(shipped_policy("apg").read_bytes())
     write_card(file, robustness=folder / "robustness_linear.json")
     text = file.with_suffix(".md").read_text()
-    for sentence in findings(result, "analytic"):
+    for sentence in findings(result, "apg"):
         assert f"- {sentence}" in text
     other = tmp_path / "other.safetensors"
-    other.write_bytes(shipped_policy("policy").read_bytes())
+    other.write_bytes(shipped_policy("ppo").read_bytes())
     with pytest.raises(ParameterError, match="does not hold this policy"):
         write_card(other, robustness=folder / "robustness_linear.json")
     assert load_policy(other).card  # and is a policy all the same
@@ -356,7 +356,7 @@ def test_a_report_shows_it(small, tmp_path, capsys):
     assert main([*words, "--report", str(tmp_path / "page"), "--json", "--robustness", file]) == 0
     page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
     assert page.count('<img src="data:image/png;base64,') == 2
-    assert findings(result, "analytic")[0].replace("'", "&#x27;") in page
+    assert findings(result, "apg")[0].replace("'", "&#x27;") in page
     capsys.readouterr()
     other = ["--robustness", file, "--scenario", "laboratory"]
     for more, message in (

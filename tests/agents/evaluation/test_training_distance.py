@@ -82,26 +82,22 @@ def test_shipped_policies_are_at_home_on_their_scenarios():
                 if trained in (name, "laboratory"):
                     assert training_warning(policy, scenario) == "", (name, family)
                     at_home.add((name, family))
-    both = {
-        (name, family)
-        for name in ("linear", "laboratory", "records")
-        for family in ("policy", "analytic")
-    }
-    assert at_home >= both | {("unknown-specimen", "analytic"), ("yielding", "analytic")}
+    both = {(name, family) for name in ("linear", "laboratory", "records") for family in ("ppo", "apg")}
+    assert at_home >= both | {("unknown-specimen", "apg"), ("yielding", "apg")}
 
 
 def test_compare_and_evaluate_warn():
     far = make_scenario("linear", {"mass_ratio": 2.0, "duration": 0.5})
-    found = compare(far, ["policy"], noise=2, records=False)
+    found = compare(far, ["ppo"], noise=2, records=False)
     assert len(found.warnings) == 1 and "policy is driven far outside" in found.warnings[0]
     assert any(note.startswith("Warning: policy") for note in found.notes())
-    near = compare(make_scenario("linear", {"duration": 0.5}), ["policy"], noise=2, records=False)
+    near = compare(make_scenario("linear", {"duration": 0.5}), ["ppo"], noise=2, records=False)
     assert near.warnings == []
-    result = evaluate(far, [contestant("policy", far)], earthquakes=2, repeats=False, resamples=10)
+    result = evaluate(far, [contestant("ppo", far)], earthquakes=2, repeats=False, resamples=10)
     assert "far outside" in result["warnings"][0]
 
 
 @pytest.mark.parametrize("card", [{}, {"config": {"scenario": {"set": [1]}}}])
 def test_a_card_that_tells_nothing_gives_no_warning(card):
-    policy = replace(load_policy(shipped_policy("policy")), card=card)
+    policy = replace(load_policy(shipped_policy("ppo")), card=card)
     assert training_warning(policy, make_scenario("linear", {"mass_ratio": 2.0})) == ""

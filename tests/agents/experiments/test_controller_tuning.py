@@ -106,7 +106,7 @@ def test_command_prints_one_json_object(bench, tmp_path, capsys):
 
 def test_a_repeated_test_is_paid_for(tmp_path):
     # 100 periods, ten tests.
-    found = tune("iteration", SHORT, tmp_path / "t.db", budget=3_000, earthquakes=1)
+    found = tune("tf-iteration", SHORT, tmp_path / "t.db", budget=3_000, earthquakes=1)
     assert found.trials == 3 and found.table_steps == 3_000
 
 

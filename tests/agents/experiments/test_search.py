@@ -93,10 +93,10 @@ def test_a_search_keeps_what_a_recipe_claims():
     assert suitable_laws(find_recipe("linear/ppo")) == ("none",)  # from nothing
     assert suitable_laws(find_recipe("linear/sac")) == ("flow",)  # LQR is the optimum there
     assert "lqr" in suitable_laws(find_recipe("yielding/sac"))
-    laws = suitable_laws(find_recipe("laboratory/analytic"))
-    assert "lqg-accommodating" in laws and not {"none", "flow", "lqr", "preview-lqr"} & set(laws)
-    assert "memory" in own_values(find_recipe("unknown-specimen/analytic"))
-    assert "memory" not in own_values(find_recipe("linear/analytic"))
+    laws = suitable_laws(find_recipe("laboratory/apg"))
+    assert "lqg-dac" in laws and not {"none", "flow", "lqr", "preview-lqr"} & set(laws)
+    assert "memory" in own_values(find_recipe("unknown-specimen/apg"))
+    assert "memory" not in own_values(find_recipe("linear/apg"))
 
 
 def test_ranges_widen_to_what_a_recipe_has():

@@ -8,13 +8,13 @@ from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_law
 from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.policy_file import load_policy
-from agents.training.algorithm_options import AnalyticOptions, PPOOptions
+from agents.training.algorithm_options import APGOptions, PPOOptions
 from agents.training.config import TrainConfig
 from agents.training.model_factory import new_model
 from agents.training.policy_export import export_policy
 from baselines.estimation.lqg import full_state
 from baselines.registry import make_baseline
-from baselines.searched_lqg import FREE, found_by_search
+from baselines.searched_lqg import LQG_SEARCHED
 from shake_env import make_scenario
 from shake_env.errors import PolicyFileError, ScenarioError
 
@@ -22,15 +22,14 @@ torch = pytest.importorskip("torch")
 
 DELAYED = {"fields": {"delay": 2.5, "sensing.preview": 0.1}}
 CASES = [("laboratory", {}), ("unknown-specimen", {}), ("linear", DELAYED)]
-LAWS = [(*case, "lqg-accommodating") for case in CASES] + [("laboratory", {}, FREE)]
+LAWS = [(*case, "lqg-dac") for case in CASES] + [("laboratory", {}, LQG_SEARCHED)]
 
 
 @pytest.mark.parametrize("kind", ["numpy", "torch"])
 @pytest.mark.parametrize(("name", "overrides", "base"), LAWS, ids=str)
 def test_the_matrices_are_the_controller(name, overrides, base, kind):
     scenario = make_scenario(name, overrides)
-    free = base == FREE
-    controller = found_by_search(scenario) if free else make_baseline(base, scenario)
+    controller = make_baseline(base, scenario)
     law = EstimatedLaw.of(base, scenario)
     like = torch.zeros(1, dtype=torch.float64) if kind == "torch" else np.zeros(1)
     law, to = law.like(like), torch.as_tensor if kind == "torch" else np.asarray
@@ -57,7 +56,7 @@ def test_the_matrices_are_the_controller(name, overrides, base, kind):
 
 def test_what_is_shown_is_what_a_full_state_law_would_be_given():
     scenario = make_scenario("laboratory")
-    controller = make_baseline("lqg-accommodating", scenario)
+    controller = make_baseline("lqg-dac", scenario)
     given = []
 
     class Listener:
@@ -67,7 +66,7 @@ def test_what_is_shown_is_what_a_full_state_law_would_be_given():
             given.append(observation)
             return np.clip(observation @ self.row, -1.0, 1.0)[..., None].astype(np.float32), None
 
-    law = EstimatedLaw.of("lqg-accommodating", scenario)
+    law = EstimatedLaw.of("lqg-dac", scenario)
     controller.law = Listener()
     rng = np.random.default_rng(1)
     seen = rng.normal(size=(4, scenario.observation.size)).astype(np.float32)
@@ -84,16 +83,16 @@ def corrected(
     lanes=3,
     memory=0,
     authority=0.3,
-    base="lqg-accommodating",
+    base="lqg-dac",
     algorithm=None,
     tuned_on=None,
 ):
     law = base_law(base, scenario, tuned_on)
     env = ShakeTableVecEnv(scenario, lanes, base=law, authority=authority, reward_scale=0.01)
     config = TrainConfig(
-        algorithm=algorithm or "analytic",
+        algorithm=algorithm or "apg",
         hidden=(16,),
-        analytic=AnalyticOptions(tables=lanes, window=12, memory=memory, scale_free=False),
+        apg=APGOptions(tables=lanes, window=12, memory=memory, scale_free=False),
         ppo=PPOOptions(tables=lanes, rollout_steps=8, batch_size=lanes * 8, scale_free=False),
     )
     model = new_model(config, scenario, env)
@@ -107,9 +106,9 @@ def corrected(
 
 def test_without_a_correction_the_tables_are_the_controllers():
     scenario = make_scenario("laboratory", {"duration": 0.2})
-    env = ShakeTableVecEnv(scenario, 3, base=base_law("lqg-accommodating", scenario), authority=0.3)
+    env = ShakeTableVecEnv(scenario, 3, base=base_law("lqg-dac", scenario), authority=0.3)
     plain = ShakeTableVecEnv(scenario, 3)
-    controller = make_baseline("lqg-accommodating", scenario)
+    controller = make_baseline("lqg-dac", scenario)
     for each in (env, plain):
         each.seed(0)
     env.reset()

@@ -72,20 +72,20 @@ def test_the_graph_gives_the_numpy_policys_action(memory, direct, activation, ou
 
 def test_the_command_exports_what_ships_with_its_card(tmp_path, capsys):
     file = tmp_path / "deep" / "linear.onnx"
-    assert main(["export", "analytic", str(file), "--json"]) == 0
+    assert main(["export", "apg", str(file), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found == {"output": str(file), "observation_size": 14, "states": 0, "units": 0}
-    policy, runtime = load_policy(shipped_policy("analytic")), session(file)
+    policy, runtime = load_policy(shipped_policy("apg")), session(file)
     observation = np.random.default_rng(0).normal(size=(50, 14)).astype(np.float32)
     action = runtime.run(None, {"observation": observation})[0]
     np.testing.assert_allclose(action, policy.predict(observation)[0], atol=1e-5)
     card = runtime.get_modelmeta().custom_metadata_map["card"]
     assert json.loads(card) == policy.card
-    assert main(["export", "analytic", str(tmp_path / "policy.bin")]) == 2
+    assert main(["export", "apg", str(tmp_path / "policy.bin")]) == 2
     assert "must end in .onnx" in capsys.readouterr().err
 
 
 def test_without_onnx_the_remedy_is_said(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "onnx", None)
-    assert main(["export", "analytic", str(tmp_path / "policy.onnx")]) == 2
+    assert main(["export", "apg", str(tmp_path / "policy.onnx")]) == 2
     assert "pip install '.[onnx]'" in capsys.readouterr().err

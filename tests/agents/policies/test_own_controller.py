@@ -10,7 +10,7 @@ from agents.evaluation.comparison import compare
 from agents.evaluation.protocol import contestant, evaluate
 from agents.experiments.controller_tuning import tune
 from agents.policies.own_controller import is_own_controller, own_baseline
-from agents.policies.registry import named_controller
+from agents.policies.registry import get_controller
 from shake_env import make_scenario
 from shake_env.errors import ScenarioError
 
@@ -87,10 +87,10 @@ def test_by_file_and_by_module_it_is_the_same(file, monkeypatch):
     monkeypatch.chdir(file.parent)
     observation = np.full((2, SHORT.observation.size), 0.1, dtype=np.float32)
     actions = [
-        named_controller(name, SHORT).predict(observation)[0]
+        get_controller(name, SHORT).predict(observation)[0]
         for name in (f"{file}:Scaled", "mine.py:Scaled", "mine:Scaled")
     ]
-    half = 0.5 * named_controller("lqr", SHORT).predict(observation)[0]
+    half = 0.5 * get_controller("lqr", SHORT).predict(observation)[0]
     for action in actions:
         np.testing.assert_allclose(action, half, rtol=1e-6)
 
@@ -116,17 +116,17 @@ def test_a_changed_file_is_read_again(file):
 )
 def test_what_does_not_fit_is_told_by_name(file, name, match):
     with pytest.raises(ScenarioError, match=match):
-        named_controller(f"{file}:{name}", SHORT)
+        get_controller(f"{file}:{name}", SHORT)
 
 
 def test_a_module_that_cannot_be_had_is_told(file, tmp_path):
     (tmp_path / "broken.py").write_text("import numpy\n\n1 / 0\n")
     with pytest.raises(ScenarioError, match=r"ZeroDivisionError at .*broken.py:3"):
-        named_controller(f"{tmp_path / 'broken.py'}:X", SHORT)
+        get_controller(f"{tmp_path / 'broken.py'}:X", SHORT)
     with pytest.raises(ScenarioError, match="there is no file"):
-        named_controller(f"{tmp_path / 'absent.py'}:X", SHORT)
+        get_controller(f"{tmp_path / 'absent.py'}:X", SHORT)
     with pytest.raises(ScenarioError, match="ModuleNotFoundError"):
-        named_controller("no_such_module:X", SHORT)
+        get_controller("no_such_module:X", SHORT)
 
 
 def test_compare_and_evaluate_run_it(file):

@@ -17,7 +17,7 @@ from agents.policies.base_law import base_row
 from agents.policies.policy_file import load_policy
 from agents.policies.registry import shipped_policy
 from agents.training.algorithm_options import (
-    AnalyticOptions,
+    APGOptions,
     PPOOptions,
     RecurrentPPOOptions,
     SACOptions,
@@ -35,7 +35,7 @@ from shake_env.rollout import noise_earthquakes, recorded_earthquakes, rollout
 
 
 @pytest.mark.parametrize("friction", [0.0, 300.0])
-@pytest.mark.parametrize("algorithm", ["ppo", "sac", "td3", "tqc", "analytic"])
+@pytest.mark.parametrize("algorithm", ["ppo", "sac", "td3", "tqc", "apg"])
 def test_a_file_gives_the_action_that_sb3_gives(algorithm, friction, tmp_path):
     config = TrainConfig(
         algorithm=algorithm,
@@ -43,7 +43,7 @@ def test_a_file_gives_the_action_that_sb3_gives(algorithm, friction, tmp_path):
         sac=SACOptions(tables=2, buffer_size=100),
         td3=TD3Options(tables=2, buffer_size=100),
         tqc=TQCOptions(tables=2, buffer_size=100),
-        analytic=AnalyticOptions(tables=2),
+        apg=APGOptions(tables=2),
     )
     scenario = make_scenario("linear", {"fields": {"nonlinearity.friction.coulomb": friction}})
     env = ShakeTableVecEnv(scenario, 2, base=base_row("flow", scenario), authority=0.25)
@@ -70,8 +70,8 @@ def test_a_file_gives_the_action_that_sb3_gives(algorithm, friction, tmp_path):
 def test_a_file_with_a_memory_gives_the_action_that_sb3_gives(name, tmp_path):
     scenario = make_scenario(name)
     env = ShakeTableVecEnv(scenario, 2)
-    options = AnalyticOptions(tables=2, memory=16)
-    model = new_model(TrainConfig(algorithm="analytic", analytic=options), scenario, env)
+    options = APGOptions(tables=2, memory=16)
+    model = new_model(TrainConfig(algorithm="apg", apg=options), scenario, env)
     for parameter in model.policy.parameters():
         parameter.data.mul_(1.5)
     path = tmp_path / "policy.safetensors"
@@ -185,9 +185,9 @@ def test_the_shipped_policy_says_how_it_was_made():
 @pytest.mark.parametrize("scenario_name", ["laboratory", "records", "unknown-specimen", "yielding"])
 def test_what_ships_for_a_scenario_costs_less_than_its_reference(scenario_name):
     scenario = make_scenario(scenario_name)
-    policy = load_policy(shipped_policy("analytic", scenario_name))
+    policy = load_policy(shipped_policy("apg", scenario_name))
     policy.check(scenario)
-    assert shipped_policy("analytic", scenario_name).stat().st_size < 500_000
+    assert shipped_policy("apg", scenario_name).stat().st_size < 500_000
     if scenario_name == "records":
         quakes = recorded_earthquakes(scenario)[4:]
     else:

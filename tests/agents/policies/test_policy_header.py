@@ -12,7 +12,7 @@ from agents.policies.registry import shipped_policy
 from shake_env.errors import PolicyFileError
 
 WHOLE = {
-    name: shipped_policy("analytic", name).read_bytes() for name in ("linear", "laboratory")
+    name: shipped_policy("apg", name).read_bytes() for name in ("linear", "laboratory")
 }  # without and with a law behind an estimator
 
 

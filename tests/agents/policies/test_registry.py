@@ -7,50 +7,49 @@ import pytest
 from agents.policies.policy_file import PolicyFile
 from agents.policies.registry import (
     SHIPPED,
-    file_of,
-    named_controller,
-    require_controller,
+    find_controller,
+    get_controller,
+    policy_path,
     shipped_policy,
 )
-from baselines.searched_lqg import FOUND
+from baselines.searched_lqg import SEARCHED
 from shake_env import make_scenario
 from shake_env.errors import PolicyFileError, ScenarioError
 
 
-@pytest.mark.parametrize("name", ["lqr", "none", *FOUND, *SHIPPED])
+@pytest.mark.parametrize("name", ["lqr", "none", *SEARCHED, *SHIPPED])
 def test_a_name_is_a_controller(name):
-    controller = named_controller(name, make_scenario("linear"))
+    controller = get_controller(name, make_scenario("linear"))
     assert hasattr(controller, "predict")
     assert isinstance(controller, PolicyFile) == (name in SHIPPED)
 
 
 def test_a_file_and_its_run_directory_are_the_same_policy(tmp_path):
     file = tmp_path / "policy.safetensors"
-    shutil.copy(shipped_policy("analytic"), file)
-    assert file_of(str(tmp_path)) == file_of(str(file)) == file
-    found = [named_controller(str(path), make_scenario("linear")) for path in (tmp_path, file)]
+    shutil.copy(shipped_policy("apg"), file)
+    assert policy_path(str(tmp_path)) == policy_path(str(file)) == file
+    found = [get_controller(str(path), make_scenario("linear")) for path in (tmp_path, file)]
     assert found[0].card == found[1].card
 
 
 def test_a_scenario_gets_the_policy_that_ships_for_it():
-    assert file_of("analytic", "yielding").name == "yielding-analytic.safetensors"
-    assert file_of("analytic", "records").name == "laboratory-analytic.safetensors"
+    assert policy_path("apg", "yielding").name == "yielding-apg.safetensors"
+    assert policy_path("apg", "records").name == "laboratory-apg.safetensors"
 
 
 def test_a_renamed_scenario_gets_the_same_policy():
     renamed = make_scenario("laboratory", {"fields": {"name": "mytable"}})
-    same = named_controller("analytic", make_scenario("laboratory")).card
-    assert named_controller("analytic", renamed).card == same
+    same = get_controller("apg", make_scenario("laboratory")).card
+    assert get_controller("apg", renamed).card == same
 
 
 def test_what_is_no_controller_is_refused():
     scenario = make_scenario("linear")
-    with pytest.raises(ScenarioError, match=r"anlytic.*analytic"):
-        named_controller("anlytic", scenario)
+    with pytest.raises(ScenarioError, match="did you mean 'adaptive'"):
+        get_controller("adaptve", scenario)
     with pytest.raises(ScenarioError, match="everyone"):
-        require_controller("everything", "everyone")
-    require_controller("everyone", "everyone")
+        find_controller("everything", "everyone")
     with pytest.raises(PolicyFileError, match="no such file"):
-        named_controller("nowhere/policy.safetensors", scenario)
+        get_controller("nowhere/policy.safetensors", scenario)
     with pytest.raises(PolicyFileError, match="observation size"):
-        named_controller("off-policy", make_scenario("laboratory"))
+        get_controller("sac", make_scenario("laboratory"))

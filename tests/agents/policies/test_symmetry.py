@@ -9,7 +9,7 @@ import torch
 from agents.policies.policy_file import PolicyFile, load_policy
 from agents.policies.registry import shipped_policy
 from agents.policies.symmetry import mirror_averaged
-from agents.training.algorithm_options import AnalyticOptions, PPOOptions
+from agents.training.algorithm_options import APGOptions, PPOOptions
 from agents.training.checkpoint import load_checkpoint
 from agents.training.config import TrainConfig
 from agents.training.run import train, training_tables
@@ -57,10 +57,10 @@ def test_it_is_odd_with_the_law_that_it_corrects(output):
 
 def test_a_memory_is_refused():
     with pytest.raises(PolicyFileError, match="memory"):
-        mirror_averaged(load_policy(shipped_policy("analytic", "unknown-specimen")))
+        mirror_averaged(load_policy(shipped_policy("apg", "unknown-specimen")))
     for options in (
         {"algorithm": "recurrent-ppo"},
-        {"algorithm": "analytic", "analytic": AnalyticOptions(memory=4)},
+        {"algorithm": "apg", "apg": APGOptions(memory=4)},
     ):
         with pytest.raises(ParameterError, match="mirrored"):
             TrainConfig(mirrored=True, **options)

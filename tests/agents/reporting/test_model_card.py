@@ -57,7 +57,7 @@ def test_a_card_repeats_its_sources(evaluated, capsys):
 def test_a_result_of_other_policies_is_refused(evaluated, tmp_path):
     folder, _, _ = evaluated
     other = tmp_path / "other.safetensors"
-    shutil.copy(shipped_policy("analytic"), other)
+    shutil.copy(shipped_policy("apg"), other)
     with pytest.raises(ParameterError, match="holds no row of this policy"):
         write_card(other, [folder / "result.json"])
     with pytest.raises(ParameterError, match="cannot be read"):

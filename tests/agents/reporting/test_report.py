@@ -209,9 +209,7 @@ def numbers(sentence):
 
 def test_the_winner_is_who_costs_least_and_by_how_much():
     found = verdict(
-        constructed(
-            {"lqr": [1.0, 2.0, 3.0, 4.0], "new": [0.8, 1.6, 2.4, 3.2], "clairvoyant": [0.1] * 4}
-        ),
+        constructed({"lqr": [1.0, 2.0, 3.0, 4.0], "new": [0.8, 1.6, 2.4, 3.2], "oracle": [0.1] * 4}),
         make_scenario("laboratory"),
     )
     assert found.winner == "new"
@@ -408,6 +406,6 @@ def test_the_command_writes_the_report_it_names(tmp_path, capsys):
 
 
 def test_a_shipped_policy_is_the_scenarios_own():
-    found = policy_files_of(["lqg", "analytic"], "laboratory")
-    assert list(found) == ["analytic"]
-    assert found["analytic"].card["config"]["scenario"]["scenario"] == "laboratory"
+    found = policy_files_of(["lqg", "apg"], "laboratory")
+    assert list(found) == ["apg"]
+    assert found["apg"].card["config"]["scenario"]["scenario"] == "laboratory"

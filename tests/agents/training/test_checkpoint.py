@@ -17,7 +17,7 @@ from agents.__main__ import main
 from agents.evaluation.protocol import contestant
 from agents.experiments.recipes import Recipe
 from agents.experiments.runner import Task
-from agents.policies.registry import named_controller
+from agents.policies.registry import get_controller
 from agents.run_directory import append_row, evaluations, locked
 from agents.scenario_options import ScenarioOptions
 from agents.training.algorithm_options import PPOOptions
@@ -276,11 +276,11 @@ def test_options_that_differ_from_the_runs_own_are_refused_by_name(cut, capsys):
 
 def test_an_unfinished_runs_best_policy_can_be_compared(cut):
     scenario = CONFIG.scenario.build()
-    policy = named_controller(str(cut), scenario)
+    policy = get_controller(str(cut), scenario)
     assert policy.card["config"]["seed"] == 0
     assert contestant(str(cut), scenario).sources[0]["algorithm"] == "ppo"
     with pytest.raises(PolicyFileError, match="control rate"):
-        named_controller(str(cut), make_scenario("linear", {"control_rate": 500.0}))
+        get_controller(str(cut), make_scenario("linear", {"control_rate": 500.0}))
     (cut / "best.safetensors").unlink()
     with pytest.raises(PolicyFileError, match=r"holds no policy\.safetensors or best\.safetensors"):
         contestant(str(cut), scenario)

@@ -11,7 +11,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from agents.progress import Progress
 from agents.scenario_options import ScenarioOptions
-from agents.training.algorithm_options import AnalyticOptions, PPOOptions, SACOptions
+from agents.training.algorithm_options import APGOptions, PPOOptions, SACOptions
 from agents.training.config import TrainConfig
 from agents.training.progress import BARS, TrainingView, meaning, sparkline
 from agents.training.run import train
@@ -31,14 +31,14 @@ def told(steps, seconds, *evaluations, **changes):
     return Progress(steps, 1000, seconds, last, evaluations, **changes)
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "sac", "analytic"])
+@pytest.mark.parametrize("algorithm", ["ppo", "sac", "apg"])
 def test_every_algorithm_writes_what_tensorboard_shows(algorithm, tmp_path):
     config = TrainConfig(
         algorithm=algorithm,
         scenario=ScenarioOptions("yielding") if algorithm == "ppo" else ScenarioOptions(),
         ppo=PPOOptions(tables=4, rollout_steps=16, batch_size=64, epochs=1),
         sac=SACOptions(tables=32, batch_size=32, gradient_steps=1, buffer_size=1000, warmup_steps=32),
-        analytic=AnalyticOptions(tables=4, window=8),
+        apg=APGOptions(tables=4, window=8),
         hidden=(8,), episode=0.2, total_steps=128, evaluations=1000, evaluation_earthquakes=2,
     )  # fmt: skip
     seen = []
@@ -60,7 +60,7 @@ def test_every_algorithm_writes_what_tensorboard_shows(algorithm, tmp_path):
     )
     assert seen[-1].evaluations == tuple(row["cost_ratio"] for row in rows)
     assert seen[-1].errors == (rows[-1]["acceleration_rms_error"], rows[-1]["base_shear_rms_error"])
-    assert seen[-1].reference == ("clairvoyant" if algorithm == "ppo" else "LQR")
+    assert seen[-1].reference == ("oracle" if algorithm == "ppo" else "LQR")
 
 
 def test_the_view_says_how_far_how_long_and_how_good():

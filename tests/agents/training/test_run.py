@@ -12,7 +12,7 @@ import pytest
 from agents.policies.policy_file import load_policy
 from agents.scenario_options import ScenarioOptions
 from agents.training.algorithm_options import (
-    AnalyticOptions,
+    APGOptions,
     PPOOptions,
     RecurrentPPOOptions,
     SACOptions,
@@ -36,7 +36,7 @@ def small(algorithm, memory=0, **changes):
             tables=4, batch_size=32, gradient_steps=1, buffer_size=2000, warmup_steps=64, quantiles=5
         ),
         recurrent_ppo=RecurrentPPOOptions(tables=4, rollout_steps=32, batch_size=64, epochs=2, units=8),
-        analytic=AnalyticOptions(tables=4, window=16, memory=memory, terminal_value=True),
+        apg=APGOptions(tables=4, window=16, memory=memory, terminal_value=True),
         hidden=(16,),
         episode=0.2,
         total_steps=512,
@@ -55,9 +55,9 @@ def small(algorithm, memory=0, **changes):
         ("td3", {}),  # with a replay buffer that is full when the run is cut
         ("tqc", {}),
         ("recurrent-ppo", {"scenario": ScenarioOptions("unknown-specimen")}),
-        ("analytic", {}),
-        ("analytic", {"memory": 8, "scenario": ScenarioOptions("unknown-specimen")}),
-        ("analytic", {"artificial": 3, "scenario": ScenarioOptions("laboratory")}),
+        ("apg", {}),
+        ("apg", {"memory": 8, "scenario": ScenarioOptions("unknown-specimen")}),
+        ("apg", {"artificial": 3, "scenario": ScenarioOptions("laboratory")}),
     ],
     ids=str,
 )
@@ -148,12 +148,12 @@ def test_the_configuration_survives_its_file(tmp_path):
         {"hidden": ()},
         {"ppo": PPOOptions(tables=64, epochs=0)},
         {"tqc": TQCOptions(dropped=25)},
-        {"analytic": AnalyticOptions(warmup=1.0)},
+        {"apg": APGOptions(warmup=1.0)},
         {"ppo": PPOOptions(critic_first=1.0)},
     ],
 )
 def test_bad_options_are_named(bad):
-    name = {"ppo": "epochs|critic_first", "tqc": "dropped", "analytic": "warmup"}
+    name = {"ppo": "epochs|critic_first", "tqc": "dropped", "apg": "warmup"}
     with pytest.raises(ParameterError, match=name.get(key := next(iter(bad)), key)):
         TrainConfig(**bad)
 

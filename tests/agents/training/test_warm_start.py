@@ -13,7 +13,7 @@ from agents.policies.symmetry import mirror_averaged
 from agents.run_directory import FIRST, learning_curve
 from agents.scenario_options import ScenarioOptions
 from agents.training.algorithm_options import (
-    AnalyticOptions,
+    APGOptions,
     PPOOptions,
     RecurrentPPOOptions,
     SACOptions,
@@ -29,7 +29,7 @@ from agents.training.warm_start import begin_with
 from shake_env.errors import PolicyFileError
 
 FRICTION = ScenarioOptions(set=("nonlinearity.friction.coulomb=300",))
-FREE = AnalyticOptions(tables=2, base="free", authority=0.1, memory=64, scale_free=False)
+FREE = APGOptions(tables=2, base="lqg-searched", authority=0.1, memory=64, scale_free=False)
 
 
 def model_of(config, direct=False):
@@ -50,19 +50,19 @@ def policy_of(config):
 @pytest.mark.parametrize(
     ("giver", "taker"),
     [
-        (TrainConfig(algorithm="analytic"), TrainConfig()),
-        (TrainConfig(), TrainConfig(algorithm="analytic")),
+        (TrainConfig(algorithm="apg"), TrainConfig()),
+        (TrainConfig(), TrainConfig(algorithm="apg")),
         (TrainConfig(mirrored=True), TrainConfig(hidden=(128, 128))),
-        (TrainConfig(mirrored=True), TrainConfig(algorithm="analytic", hidden=(128, 128))),
+        (TrainConfig(mirrored=True), TrainConfig(algorithm="apg", hidden=(128, 128))),
         (
-            TrainConfig(algorithm="analytic", scenario=FRICTION),
+            TrainConfig(algorithm="apg", scenario=FRICTION),
             TrainConfig(scenario=FRICTION, ppo=PPOOptions(scale_free=False)),
         ),
         (TrainConfig(algorithm="sac"), TrainConfig(algorithm="td3", td3=TD3Options(authority=0.5))),
         (TrainConfig(algorithm="td3"), TrainConfig(algorithm="tqc")),
         (
-            TrainConfig(algorithm="analytic", analytic=AnalyticOptions(memory=8), scenario=FRICTION),
-            TrainConfig(algorithm="analytic", analytic=AnalyticOptions(memory=8), scenario=FRICTION),
+            TrainConfig(algorithm="apg", apg=APGOptions(memory=8), scenario=FRICTION),
+            TrainConfig(algorithm="apg", apg=APGOptions(memory=8), scenario=FRICTION),
         ),
         (
             TrainConfig(algorithm="recurrent-ppo", scenario=FRICTION),
@@ -89,9 +89,9 @@ def test_a_model_acts_as_the_policy_that_it_begins_with(giver, taker):
 
 
 def test_a_correction_behind_an_estimator_goes_on():
-    policy = load_policy(shipped_policy("analytic", "unknown-specimen"))
+    policy = load_policy(shipped_policy("apg", "unknown-specimen"))
     scenario = ScenarioOptions("unknown-specimen")
-    model, env = model_of(TrainConfig(algorithm="analytic", scenario=scenario, analytic=FREE))
+    model, env = model_of(TrainConfig(algorithm="apg", scenario=scenario, apg=FREE))
     begin_with(model, env, policy)
     begun = export_policy(model, env, {})
     for ours, theirs in zip(begun.weights, policy.weights, strict=True):
@@ -102,13 +102,13 @@ def test_a_correction_behind_an_estimator_goes_on():
 def tiny(critic_first=0.0, **changes):
     ppo = PPOOptions(tables=4, rollout_steps=32, batch_size=64, epochs=2, critic_first=critic_first)
     return TrainConfig(
-        ppo=ppo, analytic=AnalyticOptions(tables=4, window=16), hidden=(16,), episode=0.2,
+        ppo=ppo, apg=APGOptions(tables=4, window=16), hidden=(16,), episode=0.2,
         total_steps=512, evaluations=2, evaluation_earthquakes=2, checkpoint_interval=1e-9, **changes,
     )  # fmt: skip
 
 
 def test_a_run_begins_where_its_policy_stands_and_says_so(tmp_path):
-    first = train(tiny(algorithm="analytic"), tmp_path / "first")
+    first = train(tiny(algorithm="apg"), tmp_path / "first")
     config = tiny(start=str(tmp_path / "first"), critic_first=0.3)
     train(config, tmp_path / "second")
     begun = dict(learning_curve(str(tmp_path / "second")))[0]
@@ -166,7 +166,7 @@ def test_what_does_not_fit_is_refused_and_leaves_nothing_behind(config, wrong):
 
 
 def test_a_direct_path_and_biases_need_their_place():
-    direct = policy_of(TrainConfig(algorithm="analytic"))
+    direct = policy_of(TrainConfig(algorithm="apg"))
     with pytest.raises(PolicyFileError, match="direct path"):
         begin_with(*model_of(TrainConfig()), direct)
     biased = policy_of(TrainConfig(ppo=PPOOptions(scale_free=False)))

@@ -9,7 +9,7 @@ from baselines.estimation.adaptive import CertaintyEquivalence, certainty_equiva
 from baselines.estimation.specimen_bank import SpecimenBank, arriving_law
 from baselines.estimation.table_observer import SIGNALS, TableObserver
 from baselines.iterative.drive_file import DriveFile
-from baselines.lqr.oracle import clairvoyant
+from baselines.lqr.oracle import oracle_controller
 from baselines.lqr.preview import PreviewFeedback, preview_lqr
 from shake_env import Sensing, Sensor, Uncertainty, make_scenario
 from shake_env.errors import ParameterError, ScenarioError
@@ -73,7 +73,7 @@ def test_finding_out_is_worth_something_and_knowing_more(unknown, bank):
     adaptive, _ = rollout(CertaintyEquivalence(unknown, bank), unknown, quakes)
     fixed = replace(unknown, uncertainty=Uncertainty())
     nominal, _ = rollout(CertaintyEquivalence(fixed, position=0.05), unknown, quakes)
-    seen, knows = clairvoyant(unknown, quakes)
+    seen, knows = oracle_controller(unknown, quakes)
     floor, _ = rollout(knows, seen, quakes)
     means = [np.mean([row.cost for row in rows]) for rows in (floor, adaptive, nominal)]
     assert means[0] < means[1] < means[2]

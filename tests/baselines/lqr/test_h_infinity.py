@@ -183,7 +183,7 @@ def test_certain_mass_leaves_the_lqr_that_minds_its_place():
     assert found.guaranteed_cost > known.analytic_cost  # it contains the position's term
 
 
-@pytest.mark.parametrize("name", ["robust", "multi-model"])
+@pytest.mark.parametrize("name", ["h-infinity", "multi-model"])
 def test_by_name_it_keeps_the_table_in_its_place(name):
     # Without a weighed position the robust law ended nine of two hundred tests at the stroke.
     scenario = make_scenario("unknown-specimen")

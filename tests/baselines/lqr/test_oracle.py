@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.batch_controllers import PerLane
-from baselines.lqr.oracle import clairvoyant
+from baselines.lqr.oracle import oracle_controller
 from baselines.lqr.preview import PreviewFeedback
 from baselines.lqr.sampled import lqr
 from shake_env import NoControl, make_scenario
@@ -31,7 +31,7 @@ def test_true_plants_are_those_that_the_roll_out_draws():
 def test_knowing_the_plant_beats_knowing_its_middle():
     scenario = make_scenario("unknown-specimen", {"duration": 3.0})
     quakes = noise_earthquakes(scenario, 6, seed=3)
-    seen, controller = clairvoyant(scenario, quakes)
+    seen, controller = oracle_controller(scenario, quakes)
     knowing, _ = rollout(controller, seen, quakes)
     middle, _ = rollout(PreviewFeedback(seen), seen, quakes)
     # LQR is optimal on the average: under one earthquake, and on a plant near the middle one, the other
@@ -45,7 +45,7 @@ def test_knowing_the_plant_beats_knowing_its_middle():
 def test_without_uncertainty_it_is_preview_lqr_and_its_analytic_cost():
     scenario = make_scenario("linear", {"duration": 2.0})
     quakes = noise_earthquakes(scenario, 3)
-    seen, controller = clairvoyant(scenario, quakes)
+    seen, controller = oracle_controller(scenario, quakes)
     one, _ = rollout(controller, seen, quakes)
     two, _ = rollout(PreviewFeedback(seen), seen, quakes)
     np.testing.assert_allclose([a.cost for a in one], [b.cost for b in two], rtol=1e-5)
@@ -68,21 +68,21 @@ def test_friction_on_a_table_that_minds_no_place():
         "linear", {"duration": 4.0, "fields": {"nonlinearity.friction.coulomb": 300.0}}
     )
     quakes = noise_earthquakes(scenario, 4, seed=3)
-    seen, controller = clairvoyant(scenario, quakes)
+    seen, controller = oracle_controller(scenario, quakes)
     knowing, _ = rollout(controller, seen, quakes)
     unaware, _ = rollout(lqr(scenario), scenario, quakes)
     assert sum(row.cost for row in knowing) < 0.6 * sum(row.cost for row in unaware)
 
 
 def test_with_friction_each_lane_has_the_law_of_its_own_plant():
-    """A plant drawn from one point, as the clairvoyant finds it, against that plant as the nominal."""
+    """A plant drawn from one point, as the oracle finds it, against that plant as the nominal."""
     drawn = Uncertainty(mass_ratio=Uniform(0.8, 0.8), coulomb_friction=Uniform(250.0, 250.0))
     scenario = make_scenario("laboratory", {"uncertainty": drawn, "duration": 3.0})
     quakes = recorded_earthquakes(scenario)[:2]  # a stream that draws a plant has other noise behind
-    seen, controller = clairvoyant(scenario, quakes)
+    seen, controller = oracle_controller(scenario, quakes)
     ours, _ = rollout(controller, seen, quakes)
     true = replace(scenario.drawn(np.random.default_rng(0)), uncertainty=Uncertainty())
-    seen, controller = clairvoyant(true, quakes)
+    seen, controller = oracle_controller(true, quakes)
     theirs, _ = rollout(controller, seen, quakes)
     for mine, other in zip(ours, theirs, strict=True):
         # The observation is rounded to single precision over another scale.

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from baselines.lqr.preview import PreviewFeedback, clairvoyant, preview_lqr, with_preview
+from baselines.lqr.preview import PreviewFeedback, infinite_preview, preview_lqr, with_preview
 from baselines.lqr.sampled import sampled_lqr
 from baselines.lqr.tracking_problem import stein_sum
 from shake_env import Actuator, Sensing, make_scenario
@@ -19,7 +19,7 @@ def design(scenario, preview, spacing=None):
 
 
 def floor(scenario):
-    return clairvoyant(scenario.discrete, scenario.stage_cost).cost
+    return infinite_preview(scenario.discrete, scenario.stage_cost).cost
 
 
 def batch_law(scenario, samples, stride, horizon):
@@ -135,12 +135,12 @@ def test_seeing_everything_for_long_enough_is_clairvoyance():
     assert 0.0 < gaps[2] < 0.3 * gaps[1] and gaps[1] < 1e-5
 
 
-def test_the_clairvoyant_errors_are_those_of_the_fully_informed_previews():
+def test_the_oracle_errors_are_those_of_the_fully_informed_previews():
     scenario = make_scenario(
         "linear",
         {"force_weight": 0.0, "current_weight": 1.0, "physics_step": 5e-3, "highpass_frequency": 0.5},
     )
-    known = clairvoyant(scenario.discrete, scenario.stage_cost)
+    known = infinite_preview(scenario.discrete, scenario.stage_cost)
     found = design(scenario, 2.0).performance
     assert found.acceleration_rms == pytest.approx(known.acceleration_rms, rel=1e-5)
     assert found.current_rms == pytest.approx(known.current_rms, rel=1e-5)

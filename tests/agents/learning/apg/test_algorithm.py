@@ -13,7 +13,7 @@ from agents.learning.apg.torch_plant import PeriodMap, torch_model
 from agents.learning.apg.window_rollout import TorchTables
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_row
-from agents.training.algorithm_options import AnalyticOptions
+from agents.training.algorithm_options import APGOptions
 from agents.training.config import TrainConfig
 from agents.training.model_factory import DirectPolicy, new_model
 from agents.training.run import train
@@ -294,9 +294,7 @@ def test_single_precision_follows_double():
 def test_a_memory_policy_is_at_rest_for_what_gives_no_state():
     scenario = make_scenario("unknown-specimen")
     env = ShakeTableVecEnv(scenario, 3)
-    policy = new_model(
-        TrainConfig(algorithm="analytic", analytic=AnalyticOptions(memory=8)), scenario, env
-    )
+    policy = new_model(TrainConfig(algorithm="apg", apg=APGOptions(memory=8)), scenario, env)
     seen = np.random.default_rng(0).normal(size=(5, 30)).astype(np.float32)
     action, state = policy.predict(seen)
     with torch.no_grad():
@@ -310,4 +308,4 @@ def test_a_memory_policy_is_at_rest_for_what_gives_no_state():
 
 @pytest.mark.slow
 def test_the_linear_task_is_learned_to_a_hundredth(tmp_path):
-    assert train(TrainConfig(algorithm="analytic"), tmp_path / "run").cost_ratio <= 1.01
+    assert train(TrainConfig(algorithm="apg"), tmp_path / "run").cost_ratio <= 1.01

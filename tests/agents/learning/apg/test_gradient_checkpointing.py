@@ -7,7 +7,7 @@ from gradient_models import model_on
 from agents.learning.apg.gradient_checkpointing import checkpointed
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_law
-from agents.training.algorithm_options import AnalyticOptions
+from agents.training.algorithm_options import APGOptions
 from agents.training.config import TrainConfig
 from agents.training.model_factory import new_model
 from shake_env import make_scenario
@@ -20,8 +20,8 @@ SPECIMENS = {"fields": {"uncertainty.mass_ratio": [0.1, 1.0], "delay": 2.5}}
 
 def estimated(scenario):
     """A model that corrects a law behind an estimator."""
-    chosen = AnalyticOptions(base="lqg-accommodating", authority=0.3, window=12, terminal_value=True)
-    config = TrainConfig(algorithm="analytic", analytic=chosen)
+    chosen = APGOptions(base="lqg-dac", authority=0.3, window=12, terminal_value=True)
+    config = TrainConfig(algorithm="apg", apg=chosen)
     base = base_law(chosen.base, scenario)
     env = ShakeTableVecEnv(scenario, 3, base=base, authority=0.3, reward_scale=0.01)
     model = new_model(config, scenario, env)
@@ -120,8 +120,8 @@ def test_training_goes_the_same_way_in_segments(memory):
     scenario = make_scenario("laboratory", {"duration": 0.2})
 
     def learned(checkpoint):
-        chosen = AnalyticOptions(window=24, memory=memory, checkpoint=checkpoint, terminal_value=True)
-        config = TrainConfig(algorithm="analytic", analytic=chosen)
+        chosen = APGOptions(window=24, memory=memory, checkpoint=checkpoint, terminal_value=True)
+        config = TrainConfig(algorithm="apg", apg=chosen)
         env = ShakeTableVecEnv(scenario, 2, base=base_law("lqg", scenario), reward_scale=0.01)
         model = new_model(config, scenario, env)
         assert model.checkpoint == checkpoint

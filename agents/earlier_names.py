@@ -1,0 +1,120 @@
+"""Command lines and training configurations of earlier versions, put into the present names."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from shake_env.renamed import (
+    ALGORITHM,
+    COMMANDS,
+    CONFIG,
+    CONTROLLERS,
+    EXPERIMENTS,
+    INVERTED,
+    OPTIONS,
+    RenamedWarning,
+    renamed,
+)
+
+SECTIONS = ("ppo", "sac", "td3", "tqc", "recurrent_ppo", "apg")  # of a configuration, an algorithm each
+
+
+def present_words(words: Sequence[str]) -> list[str]:
+    """Return the words of a command line in the present names, with a warning for each old one.
+
+    Names of controllers stay: `agents.policies.registry` takes the old ones, too.
+    """
+    present: list[str] = []
+    command = ""
+    for word in words:
+        if not command and not word.startswith("-"):
+            word = command = renamed("command", word, COMMANDS)
+        elif word.startswith("--"):
+            word = _present_option(command, word)
+        elif present and re.fullmatch(r"--config\.(algorithm|\w+\.base-controller)", present[-1]):
+            word = renamed("value", word, CONTROLLERS)
+        elif command in ("run-experiments", "tune-training") and "/" in word:
+            scenario, _, name = word.rpartition("/")
+            word = f"{scenario}/{renamed('experiment', name, EXPERIMENTS)}"
+        present.append(word)
+    return present
+
+
+def _present_option(command: str, word: str) -> str:
+    """Return ``--name`` or ``--name=value`` with the present name."""
+    name, *value = word.split("=", 1)
+    *sections, field = name[2:].replace("_", "-").split(".")
+    negated, field = field.startswith("no-"), field.removeprefix("no-")
+    if sections[:1] != ["config"]:
+        table = OPTIONS.get(command, {})
+    else:
+        sections = [s if s != "analytic" else renamed("option", s, CONFIG) for s in sections]
+        algorithm = len(sections) > 1 and sections[1].replace("-", "_") in SECTIONS
+        fields = ALGORITHM if algorithm else CONFIG if len(sections) == 1 else {}
+        table = {old.replace("_", "-"): new.replace("_", "-") for old, new in fields.items()}
+        negated ^= algorithm and field == INVERTED.replace("_", "-")
+    if field not in table and sections == name[2:].replace("_", "-").split(".")[:-1]:
+        return word
+    present = renamed("option", field, table)
+    option = "--" + ".".join([*sections, f"no-{present}" if negated else present])
+    return "=".join([option, *value])
+
+
+def present_command(text: str) -> str:
+    """Return a command line, as a policy file holds the one that made it, in the present names."""
+    try:
+        words = shlex.split(text)
+    except ValueError:  # no command line
+        return text
+    if words[:1] != ["shake"]:
+        return text
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RenamedWarning)
+        present = present_words(words[1:])
+    return text if present == words[1:] else shlex.join(["shake", *present])
+
+
+def present_config(values: Any) -> Any:
+    """Return the plain values of a training configuration by their present names.
+
+    What is no configuration is returned as it is.
+    """
+    if not isinstance(values, Mapping):
+        return values
+    present = {CONFIG.get(name, name): value for name, value in values.items()}
+    for name in ("algorithm", "init_policy"):
+        if name in present:
+            present[name] = _present_value(present[name])
+    for section in SECTIONS:
+        if isinstance(present.get(section), Mapping):
+            present[section] = _present_section(present[section])
+    return present
+
+
+def _present_section(values: Mapping[str, Any]) -> dict[str, Any]:
+    present = {ALGORITHM.get(name, name): value for name, value in values.items()}
+    if "base_controller" in present:
+        present["base_controller"] = _present_value(present["base_controller"])
+    if isinstance(values.get(INVERTED), bool):
+        present[ALGORITHM[INVERTED]] = not values[INVERTED]
+    return present
+
+
+def _present_value(value: Any) -> Any:
+    return CONTROLLERS.get(value, value) if isinstance(value, str) else value
+
+
+def present_card(card: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the card of a policy file with configuration and command lines in the present names."""
+    present = dict(card)
+    if "config" in present:
+        present["config"] = present_config(present["config"])
+    if isinstance(present.get("command"), str):
+        present["command"] = present_command(present["command"])
+    if isinstance(first := present.get("first"), Mapping) and isinstance(first.get("command"), str):
+        present["first"] = {**first, "command": present_command(first["command"])}
+    return present
