@@ -14,6 +14,7 @@ from typing import Any
 import shake_env
 from agents.cli.command_options import CommandOptions
 from agents.cli.commands import COMPLETION, HELP, command_help, parse, print_completion
+from agents.earlier_names import present_words
 from agents.progress import display
 from agents.reporting.terminal import OutputConsole
 from shake_env.errors import ShakeError, install_hint
@@ -69,6 +70,7 @@ def run_words(words: Sequence[str]) -> int:
     """Run the command of a line, and return the exit code; errors become one line each."""
     command: CommandOptions | None = None
     try:
+        words = present_words(words)
         command = parse(words)
         return run(command, f"shake {next(word for word in words if not word.startswith('-'))}")
     except ShakeError as error:

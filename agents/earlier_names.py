@@ -15,6 +15,7 @@ from shake_env.renamed import (
     CONTROLLERS,
     EXPERIMENTS,
     INVERTED,
+    LAST,
     OPTIONS,
     RenamedWarning,
     renamed,
@@ -46,22 +47,21 @@ def present_words(words: Sequence[str]) -> list[str]:
 
 def _present_option(command: str, word: str) -> str:
     """Return ``--name`` or ``--name=value`` with the present name."""
-    name, *value = word.split("=", 1)
-    *sections, field = name[2:].replace("_", "-").split(".")
+    given, *value = word.split("=", 1)
+    *sections, field = given[2:].replace("_", "-").split(".")
+    table: Mapping[str, str] = OPTIONS.get(command, {})
     negated, field = field.startswith("no-"), field.removeprefix("no-")
-    if sections[:1] != ["config"]:
-        table = OPTIONS.get(command, {})
-    else:
-        sections = [s if s != "analytic" else renamed("option", s, CONFIG) for s in sections]
-        algorithm = len(sections) > 1 and sections[1].replace("-", "_") in SECTIONS
-        fields = ALGORITHM if algorithm else CONFIG if len(sections) == 1 else {}
+    if sections[:1] == ["config"]:
+        sections = ["apg" if section == "analytic" else section for section in sections]
+        algorithm = sections[1:] and sections[1].replace("-", "_") in SECTIONS
+        fields = ALGORITHM if algorithm else {} if sections[1:] else CONFIG
         table = {old.replace("_", "-"): new.replace("_", "-") for old, new in fields.items()}
-        negated ^= algorithm and field == INVERTED.replace("_", "-")
-    if field not in table and sections == name[2:].replace("_", "-").split(".")[:-1]:
+        negated ^= bool(algorithm) and field == INVERTED.replace("_", "-")
+    field = table.get(field, field)
+    present = "--" + ".".join([*sections, f"no-{field}" if negated else field])
+    if present == given.replace("_", "-"):
         return word
-    present = renamed("option", field, table)
-    option = "--" + ".".join([*sections, f"no-{present}" if negated else present])
-    return "=".join([option, *value])
+    return "=".join([renamed("option", given, {given: present}), *value])
 
 
 def present_command(text: str) -> str:
@@ -93,6 +93,28 @@ def present_config(values: Any) -> Any:
         if isinstance(present.get(section), Mapping):
             present[section] = _present_section(present[section])
     return present
+
+
+def warn_of_old_names(values: Any, source: str) -> None:
+    """Warn, in one line, of the old names that a configuration's plain values hold.
+
+    Parameters
+    ----------
+    values
+        What `present_config` takes.
+    source
+        Where it was read, for the warning.
+    """
+    if not isinstance(values, Mapping):
+        return
+    old = {name: CONFIG[name] for name in values if name in CONFIG}
+    for section in ("analytic", *SECTIONS):
+        if isinstance(options := values.get(section), Mapping):
+            old |= {name: ALGORITHM[name] for name in options if name in ALGORITHM}
+    if old:
+        pairs = ", ".join(f"{name} is now {present}" for name, present in old.items())
+        text = f"{source}: {pairs}; the old names work until version {LAST}"
+        warnings.warn(text, RenamedWarning, stacklevel=3)
 
 
 def _present_section(values: Mapping[str, Any]) -> dict[str, Any]:

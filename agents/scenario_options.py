@@ -17,7 +17,7 @@ from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.scenario_file import read_scenario, scenario_fields, scenario_of
 
 SCENARIO_HELP = (
-    f"Name of the scenario ({', '.join(NAMED)}), or a JSON file that shake scenario --json printed."
+    f"Name of the scenario ({', '.join(NAMED)}), or a JSON file that shake show-scenario --json printed."
 )
 
 

@@ -18,7 +18,7 @@ from shake_env.model.parameters import is_number
 from shake_env.renamed import CONTROLLERS, TUNABLES, renamed, renamed_keys
 
 FORMAT = "shake-tuned-1"
-_REMEDY = "is no file of tuned values: shake tune CONTROLLER --keep FILE writes one"
+_REMEDY = "is no file of tuned values: shake tune CONTROLLER --output FILE writes one"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,13 +38,13 @@ def sb3_model(policy: PolicyFile) -> tuple[Any, ShakeTableVecEnv]:
     config = config_of(policy.card["config"])
     # SB3 warns of minibatches that a single table's roll-out does not fill; none is taken here. A file's
     # layers are wider than its run's where it is averaged with its mirror image.
-    ppo = replace(config.ppo, batch_size=config.ppo.rollout_steps)
+    ppo = replace(config.ppo, batch_size=config.ppo.n_steps)
     config = replace(config, ppo=ppo, hidden=tuple(len(bias) for bias in policy.biases[:-1]))
     scenario = config.scenario.build()
     env = ShakeTableVecEnv(
         scenario,
         1,
-        base=policy.law if policy.law is not None else base_law(config.chosen.base, scenario),
+        base=policy.law if policy.law is not None else base_law(config.chosen.base_controller, scenario),
         authority=policy.authority,
     )
     model = new_model(config, scenario, env)

@@ -75,25 +75,27 @@ def update(way: str, kind: str) -> float:
     config = TrainConfig(
         algorithm="apg" if gradient else "ppo",
         scenario=ScenarioOptions(scenario="laboratory" if gradient else "linear"),
-        apg=APGOptions(base="lqg-dac", tables=1024, authority=0.3, precision="float32", device=kind),
+        apg=APGOptions(
+            base_controller="lqg-dac", n_envs=1024, residual_scale=0.3, precision="float32", device=kind
+        ),
     )
     scenario, chosen = config.scenario.build(), config.chosen
     env = ShakeTableVecEnv(
         scenario,
-        chosen.tables,
-        base=base_law(chosen.base, scenario),
-        authority=chosen.authority,
+        chosen.n_envs,
+        base=base_law(chosen.base_controller, scenario),
+        authority=chosen.residual_scale,
         reward_scale=0.01,
     )
     model = new_model(config, scenario, env)
     if not gradient:
         model.device = torch.device(kind)  # recipes keep PPO's small networks on the CPU
         model._setup_model()
-    periods = 96 if gradient else config.ppo.rollout_steps
+    periods = 96 if gradient else config.ppo.n_steps
     taken = []
     for number in range(4):  # the first one sets up, and compiles
         begin = time.perf_counter()
-        model.learn(periods * chosen.tables, reset_num_timesteps=number == 0, log_interval=None)
+        model.learn(periods * chosen.n_envs, reset_num_timesteps=number == 0, log_interval=None)
         taken.append(time.perf_counter() - begin)
     return statistics.median(taken[1:])
 

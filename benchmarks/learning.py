@@ -40,7 +40,11 @@ def _model(config: TrainConfig, base: str) -> Any:
     scenario = config.scenario.build()
     chosen = config.chosen
     env = ShakeTableVecEnv(
-        scenario, TABLES, base=base_law(base, scenario), authority=chosen.authority, reward_scale=0.01
+        scenario,
+        TABLES,
+        base=base_law(base, scenario),
+        authority=chosen.residual_scale,
+        reward_scale=0.01,
     )
     return new_model(config, scenario, env)
 
@@ -65,7 +69,7 @@ def ppo_shares(scenario: str, updates: int) -> dict[str, float]:
     laboratory the policy corrects a law behind an estimator, whose batch counts as stepping.
     """
     config = TrainConfig(
-        scenario=ScenarioOptions(scenario=scenario), ppo=PPOOptions(base=SCENARIOS[scenario])
+        scenario=ScenarioOptions(scenario=scenario), ppo=PPOOptions(base_controller=SCENARIOS[scenario])
     )
     model = _model(config, SCENARIOS[scenario])
     steps: list[float] = [0.0]
@@ -99,7 +103,7 @@ def gradients(
     config = TrainConfig(
         algorithm="apg",
         scenario=ScenarioOptions(scenario=scenario),
-        apg=APGOptions(base=SCENARIOS[scenario], authority=0.3),
+        apg=APGOptions(base_controller=SCENARIOS[scenario], residual_scale=0.3),
     )
     model = _model(config, SCENARIOS[scenario])
     model._setup_learn(1)

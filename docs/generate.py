@@ -103,7 +103,7 @@ def scenarios() -> str:
         "# Scenarios, field by field\n",
         NOTE,
         "Every field of a scenario has a path, which `fields={...}` takes in Python and `--set` on the "
-        "command line. `shake scenario --scenario NAME` prints the same.\n",
+        "command line. `shake show-scenario --scenario NAME` prints the same.\n",
         "## linear\n",
         "The scenario that others are described against.\n",
         table(("field", "value", "unit, meaning"), rows),
@@ -218,7 +218,7 @@ def command_line() -> str:
         "returns 2, an interruption 130.\n",
         "Options that change a scenario are common to most commands: `shake COMMAND --help-scenario` "
         "lists them. Wherever a scenario's name is taken, the path of a JSON file that "
-        "`shake scenario --json` printed is taken as well; Python's `make_scenario` takes it, too.\n",
+        "`shake show-scenario --json` printed is taken as well, by Python's `make_scenario`, too.\n",
         "Without `--output` a folder of results is the next free one of `out/NAME`, `out/NAME-2`, and "
         "so on. A folder that `--output` names must be new or empty, unless `--force` is given. A "
         "file that an option names is replaced.\n",

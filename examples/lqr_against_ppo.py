@@ -20,7 +20,7 @@ steps = parser.parse_args().steps
 
 with tempfile.TemporaryDirectory() as folder:
     run = Path(folder) / "run"
-    train(TrainConfig(total_steps=steps), run)
+    train(TrainConfig(total_timesteps=steps), run)
     policy = load_policy(run / "policy.safetensors")
 
 scenario = make_scenario("linear")

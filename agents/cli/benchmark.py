@@ -1,4 +1,4 @@
-"""The command ``shake bench``."""
+"""The command ``shake benchmark``."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from shake_env.scenario.presets import NAMED
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bench(CommandOptions):
+class Benchmark(CommandOptions):
     """Run every classical controller on every named scenario. Scenarios that are done are kept.
 
     A scenario is done where the folder of results holds a result of the same number of earthquakes and
     the same controllers. The results that docs/controllers.md shows lie in docs/results.
 
     Try:
-      shake bench --scenarios laboratory --earthquakes 20
-      shake bench --controllers all controllers.py:MyController --results out/mine
-      shake bench --results docs/results --page docs/controllers.md
+      shake benchmark --scenarios laboratory --earthquakes 20
+      shake benchmark --controllers all controllers.py:MyController --results out/mine
+      shake benchmark --results docs/results --page docs/controllers.md
     """
 
     scenarios: tuple[str, ...] = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
@@ -37,12 +37,12 @@ class Bench(CommandOptions):
     earthquakes: int = 200
     """Test earthquakes of each; `records` has its six."""
     tuned: Path | None = None
-    """File of tuned values that shake tune --keep wrote, for controllers that nothing was tuned for."""
+    """File of tuned values, made by shake tune --output, for controllers that nothing was tuned for."""
     results: Path = Path("out/bench")
     """Folder of the results, a JSON file each."""
     page: Path | None = None
     """Markdown page whose tables are renewed from all results."""
-    again: bool = False
+    rerun: bool = False
     """Whether scenarios that are done are run again, and results of other settings replaced."""
 
     def run(self, console: Console) -> dict[str, Any]:
@@ -64,7 +64,7 @@ class Bench(CommandOptions):
                 number = result["rows"][0]["earthquakes"]
                 console.print(
                     f"{name}: read from {file}, made before with {number} earthquakes by version "
-                    f"{result['version']} (--again runs it anew)",
+                    f"{result['version']} (--rerun runs it anew)",
                     soft_wrap=True,
                 )
             else:
@@ -98,12 +98,12 @@ class Bench(CommandOptions):
         if name not in NAMED:
             raise unknown(ScenarioError, "scenario", name, NAMED)
         file = result_file(self.results, name)
-        if self.again or not file.exists():
+        if self.rerun or not file.exists():
             return None
         known = read_result(file)
         other = difference(known, name, self.earthquakes, self.controllers, self.tuned)
         if other:
-            remedy = f"{other}: give --again to replace it, or another folder by --results"
+            remedy = f"{other}: give --rerun to replace it, or another folder by --results"
             raise ParameterError("results", str(file), remedy)
         return known
 

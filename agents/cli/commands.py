@@ -39,12 +39,12 @@ COMMANDS = {
         "agents.cli.compare", "Compare", "Controllers side by side on the same earthquakes."
     ),
     "design": Command("agents.cli.design", "Design", "LQR of a specimen, and what to expect of it."),
-    "watch": Command("agents.cli.watch", "Watch", "A controller at work, in a window or as a film."),
+    "play": Command("agents.cli.play", "Play", "A controller at work, in a window or as a film."),
     "motion": Command(
         "agents.cli.motion", "Motion", "A recorded motion, and the scale that the table needs."
     ),
-    "scenario": Command(
-        "agents.cli.scenario", "ShowScenario", "Every field of a scenario; with --json its file."
+    "show-scenario": Command(
+        "agents.cli.show_scenario", "ShowScenario", "Every field of a scenario; with --json its file."
     ),
     "list": Command(
         "agents.cli.list_names", "List", "Names of scenarios, controllers, policies and records."
@@ -58,23 +58,31 @@ COMMANDS = {
         "agents.cli.robustness", "Robustness", "Controllers on tables unlike those of their design."
     ),
     "export": Command("agents.cli.policy", "Export", "A policy as ONNX."),
-    "card": Command("agents.cli.policy", "Card", "A policy's card: training, evaluation, limits."),
-    "bench": Command(
-        "agents.cli.benchmark", "Bench", "Every classical controller on every named scenario."
+    "model-card": Command(
+        "agents.cli.policy", "ModelCard", "Model card of a policy: training, evaluation, limits."
     ),
-    "campaign": Command("agents.cli.campaign", "RunCampaign", "Train every recipe, several seeds."),
-    "results": Command("agents.cli.campaign", "Results", "Renew the tables of the results page."),
-    "recipe-search": Command(
-        "agents.cli.recipe_search", "SearchRecipe", "Search a recipe's values by short trainings."
+    "benchmark": Command(
+        "agents.cli.benchmark", "Benchmark", "Every classical controller on every named scenario."
+    ),
+    "run-experiments": Command(
+        "agents.cli.experiments", "RunExperiments", "Train and evaluate every documented configuration."
+    ),
+    "update-docs": Command(
+        "agents.cli.experiments", "UpdateDocs", "Result files as Markdown tables, or into a page."
+    ),
+    "tune-training": Command(
+        "agents.cli.tune_training", "TuneTraining", "Search a training configuration by short runs."
     ),
     "reproduce": Command(
         "agents.cli.reproduce", "Reproduce", "Tables and figures of Gavin and Hoagg (2009)."
     ),
-    "validate": Command(
-        "agents.cli.validate", "Validate", "Check every response of the table against its range."
+    "validate-transients": Command(
+        "agents.cli.validate_transients",
+        "ValidateTransients",
+        "Check each response against its physical range.",
     ),
-    "components": Command(
-        "agents.cli.components", "Components", "Figures of yielding, friction and valve."
+    "plot-components": Command(
+        "agents.cli.plot_components", "PlotComponents", "Figures of yielding, friction and valve."
     ),
 }  # fmt: skip
 HELP = ("-h", "--help")

@@ -28,8 +28,8 @@ class Compare(FolderOptions):
     Try:
       shake compare
       shake compare --stories 5 --mass-ratio 0.2 --controllers lqr none
-      shake compare --controllers lqr policy runs/mine --noise 100 --output out/mine
-      shake compare --motion CICLC.v1 --noise 0 --no-records
+      shake compare --controllers lqr ppo runs/mine --num-noise-motions 100 --output out/mine
+      shake compare --motion CICLC.v1 --num-noise-motions 0 --no-records
       shake compare --report out/report
       shake compare --json > comparison.json
     """
@@ -41,8 +41,8 @@ class Compare(FolderOptions):
     file.py:Class for one of one's own. The reference (LQR, or LQG where signals are measured) always
     runs."""
     tuned: Path | None = None
-    """File of tuned values that shake tune --keep wrote, for a scenario that nothing was tuned on."""
-    noise: int = 32
+    """File of tuned values that shake tune --output wrote, for a scenario that nothing was tuned on."""
+    num_noise_motions: int = 32
     """Number of filtered-noise earthquakes."""
     records: bool = True
     """Whether the six embedded records are among the earthquakes."""
@@ -55,7 +55,7 @@ class Compare(FolderOptions):
     motion_options: Annotated[MotionOptions, tyro.conf.arg(name="motion")] = field(
         default_factory=MotionOptions
     )
-    supervised: bool = False
+    safety_supervisor: bool = False
     """Whether a supervisor keeps every controller within the scenario's hard limits."""
     report: Path | None = None
     """Folder for a report: one page to open in a browser, and its figures as SVG and PNG."""
@@ -72,8 +72,8 @@ class Compare(FolderOptions):
         from agents.reporting.robustness_tables import read_robustness
         from shake_env.rollout import recorded_earthquakes
 
-        if self.noise < 0:
-            raise ParameterError("noise", self.noise, "must be at least 0")
+        if self.num_noise_motions < 0:
+            raise ParameterError("num_noise_motions", self.num_noise_motions, "must be at least 0")
         scenario = self.scenario.build()
         folder = self.results_folder("compare")
         if self.report is not None:
@@ -101,11 +101,11 @@ class Compare(FolderOptions):
             result = compare(
                 scenario,
                 self.controllers,
-                noise=self.noise,
+                noise=self.num_noise_motions,
                 records=self.records,
                 seed=self.seed,
                 motions=motions,
-                supervised=self.supervised,
+                supervised=self.safety_supervisor,
                 tuned=tuned_values(self.tuned),
                 on_progress=on_progress,
                 **({} if gathered is None else {"on_histories": gathered}),

@@ -33,7 +33,7 @@ class Design(CommandOptions):
     earthquakes: int = 16
     """Number of earthquakes where the fidelity has to be simulated."""
     tuned: Path | None = None
-    """File of tuned values that shake tune --keep wrote, for a scenario that nothing was tuned on."""
+    """File of tuned values that shake tune --output wrote, for a scenario that nothing was tuned on."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Design and print."""

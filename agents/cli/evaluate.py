@@ -25,7 +25,7 @@ class Evaluate(CommandOptions):
       shake evaluate runs/mine
       shake evaluate ppo=runs/ppo-0,runs/ppo-1,runs/ppo-2 lqr none --output out/linear.json
       shake evaluate runs/campaign/laboratory/apg lqg-dac --scenario laboratory
-      shake evaluate policy analytic --earthquakes 1000 --json
+      shake evaluate ppo apg --earthquakes 1000 --json
     """
 
     entries: tyro.conf.Positional[tuple[str, ...]]
@@ -37,7 +37,7 @@ class Evaluate(CommandOptions):
     """Number of test earthquakes, each with its own specimen where the scenario draws one; `records` has
     its six."""
     tuned: Path | None = None
-    """File of tuned values that shake tune --keep wrote, for a scenario that nothing was tuned on."""
+    """File of tuned values that shake tune --output wrote, for a scenario that nothing was tuned on."""
     fidelity: bool = True
     """Whether response spectrum, drift and energy are compared, too."""
     output: Path | None = None

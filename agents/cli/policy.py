@@ -1,4 +1,4 @@
-"""The commands ``shake export`` and ``shake card``."""
+"""The commands ``shake export`` and ``shake model-card``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Export(CommandOptions):
     Try:
       shake export runs/mine policy.onnx
       shake export policy.safetensors policy.onnx
-      shake export analytic linear.onnx
+      shake export apg linear.onnx
     """
 
     policy: tyro.conf.Positional[str]
@@ -57,15 +57,15 @@ class Export(CommandOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Card(CommandOptions):
+class ModelCard(CommandOptions):
     """Write a policy's card: how it was made, its learning curve, its evaluation, its limits of use.
 
     Where docs/results has a robustness result of its scenario that holds the policy, the card says where
     the policy loses tests and where a classical controller costs less.
 
     Try:
-      shake card runs/mine
-      shake card agents/pretrained/linear-ppo.safetensors --result docs/results/evaluation_linear.json
+      shake model-card runs/mine
+      shake model-card policy.safetensors --result docs/results/evaluation_linear.json
     """
 
     policy: tyro.conf.Positional[Path]

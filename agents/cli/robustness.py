@@ -33,7 +33,7 @@ class Robustness(FolderOptions):
 
     Try:
       shake robustness
-      shake robustness --scenario laboratory --controllers lqg free analytic --quantities delay
+      shake robustness --scenario laboratory --controllers lqg lqg-searched apg --perturb delay
       shake robustness --controllers lqr runs/mine --earthquakes 20 --output out/mine
       shake robustness --all
     """
@@ -43,9 +43,9 @@ class Robustness(FolderOptions):
     """Names as shake compare takes them, or paths of policies (default: the policies that ship for the
     scenario, its reference and the best of its classical controllers)."""
     tuned: Path | None = None
-    """File of tuned values that shake tune --keep wrote. They belong to the scenario as it stands, which
+    """File of tuned values, made by shake tune --output. They belong to the scenario as it stands, which
     every controller is designed on, not to what is changed in it."""
-    quantities: tuple[str, ...] = ()
+    perturb: tuple[str, ...] = ()
     """What is changed: mass_ratio, storey_frequency, damping_ratio, coulomb_friction, delay, noise,
     amplitude (default: all)."""
     maps: bool = True
@@ -58,7 +58,7 @@ class Robustness(FolderOptions):
     """Renew docs/robustness.md: every scenario on it with its results and figures, a quarter of an hour.
     A scenario is not run again where policies and settings are those of before, and every controller
     costs what it did on what is not changed."""
-    again: bool = False
+    rerun: bool = False
     """With --all: run every scenario in any case."""
 
     def run(self, console: Console) -> dict[str, Any]:
@@ -93,7 +93,7 @@ class Robustness(FolderOptions):
         from agents.reporting.robustness_tables import PREFIX, read_robustness, section, write_robustness
 
         usual = type(self)()
-        for name in ("scenario", "controllers", "quantities", "output", "tuned"):
+        for name in ("scenario", "controllers", "perturb", "output", "tuned"):
             if getattr(self, name) != getattr(usual, name):
                 raise ParameterError(
                     name, getattr(self, name), "contradicts --all: leave one of them out"
@@ -104,7 +104,7 @@ class Robustness(FolderOptions):
         for name in SHOWN:
             file = page.parent / "results" / f"{PREFIX}{name}.json"
             options = ScenarioOptions(name)
-            known = read_robustness(file) if file.is_file() and not self.again else {}
+            known = read_robustness(file) if file.is_file() and not self.rerun else {}
             if not _holds(known, self, options):
                 write_robustness(_measure(self, options), file)
             else:
@@ -115,7 +115,7 @@ class Robustness(FolderOptions):
             put(page, f"robustness {name}", shown, end=name)
             written += [str(path) for path in (file, *pictures)]
             console.print(f"wrote {file} and {len(pictures)} figures")
-        console.print(f"wrote {page}: then renew the cards with shake card")
+        console.print(f"wrote {page}: then renew the cards with shake model-card")
         return {"page": str(page), "written": written}
 
 
@@ -135,7 +135,7 @@ def _measure(command: Robustness, options: ScenarioOptions) -> dict[str, Any]:
             scenario,
             command.controllers or (),
             tuned=tuned_values(command.tuned),
-            grid=Grid.of(scenario, command.quantities, command.maps),
+            grid=Grid.of(scenario, command.perturb, command.maps),
             earthquakes=command.earthquakes,
             seed=command.seed,
             on_progress=on_progress,
@@ -166,7 +166,7 @@ def _identity(command: Robustness, options: ScenarioOptions) -> dict[str, Any]:
     scenario = options.build()
     tuned = tuned_values(command.tuned)
     chosen, sources = controllers_of(command.controllers or (), scenario, tuned)
-    grid = Grid.of(scenario, command.quantities, command.maps)
+    grid = Grid.of(scenario, command.perturb, command.maps)
     given = given_options(options.__dict__)
     identity: dict[str, Any] = json.loads(
         json.dumps(

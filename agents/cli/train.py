@@ -22,15 +22,15 @@ class Train(CommandOptions):
     Checkpoints are numbers in safetensors and JSON: reading one runs no code, whoever made it.
 
     Try:
-      shake train --run runs/mine
-      shake train --run runs/five --config.scenario.stories 5 --config.total-steps 6000000
-      shake train --run runs/sac --config.algorithm sac
-      shake train --run runs/mine --resume
-      shake train --run runs/tuned --config.start analytic --config.ppo.critic-first 0.25
+      shake train --run-dir runs/mine
+      shake train --run-dir runs/five --config.scenario.stories 5 --config.total-timesteps 6000000
+      shake train --run-dir runs/sac --config.algorithm sac
+      shake train --run-dir runs/mine --resume
+      shake train --run-dir runs/tuned --config.init-policy apg --config.algorithm ppo
       tensorboard --logdir runs
     """
 
-    run_directory: Annotated[Path, tyro.conf.arg(name="run")]
+    run_directory: Annotated[Path, tyro.conf.arg(name="run-dir")]
     """Directory of the run; must not exist or be empty, unless it is resumed."""
     config: TrainConfig = field(default_factory=TrainConfig)
     """What decides the result; a resumed run has its own, from which none given here may differ."""
@@ -41,7 +41,7 @@ class Train(CommandOptions):
     @property
     def after_interruption(self) -> str:
         """The line that goes on with the run."""
-        return f"go on with: shake train --run {self.run_directory} --resume"
+        return f"go on with: shake train --run-dir {self.run_directory} --resume"
 
     def check_words(self, words: Sequence[str]) -> None:
         """Raise RunDirectoryError if a run is to be resumed with an option that differs from its own.
@@ -78,6 +78,6 @@ class Train(CommandOptions):
             f"cost relative to {result.reference} {result.cost_ratio:.4f} after {result.best_steps} of "
             f"{result.steps} steps, {result.seconds:.0f} s\n"
             f"wrote {self.run_directory / 'policy.safetensors'}\n"
-            f"compare it: shake compare --controllers policy {self.run_directory}"
+            f"compare it: shake compare --controllers ppo {self.run_directory}"
         )
         return asdict(result)

@@ -26,9 +26,9 @@ class Tune(CommandOptions):
     Try:
       shake tune lqg --scenario laboratory
       shake tune pid --scenario laboratory --budget 1000000
-      shake tune lqg --scenario laboratory --set actuator.table_mass=420 --keep mytable.json
+      shake tune lqg --scenario laboratory --set actuator.table_mass=420 --output mytable.json
       shake compare --scenario laboratory --set actuator.table_mass=420 --tuned mytable.json
-      shake tune controllers.py:MyController --keep mine.json
+      shake tune controllers.py:MyController --output mine.json
     """
 
     controller: tyro.conf.Positional[str]
@@ -43,19 +43,19 @@ class Tune(CommandOptions):
     """Seed of the search."""
     storage: Path = Path("runs/tune.db")
     """SQLite file with the trace of every search; a search in it is gone on with."""
-    keep: Path | None = None
-    """JSON file to put the result in; compare, bench, evaluate and robustness take it by --tuned. The
-    result belongs to this very scenario, identified by a digest of it."""
+    output: Path | None = None
+    """JSON file to put the result in, which compare, benchmark, evaluate and robustness take by --tuned.
+    The result belongs to this very scenario, identified by a digest of it."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Search with a progress bar, and print what was found."""
         scenario = self.scenario.build()
         from agents.experiments.controller_tuning import kept_values
 
-        if self.keep is not None:
-            require_writable_file(self.keep, "keep")
+        if self.output is not None:
+            require_writable_file(self.output, "output")
         require_writable_file(self.storage, "storage")
-        kept_values(self.keep)  # says before the search if it is another kind of file
+        kept_values(self.output)  # says before the search if it is another kind of file
         if self.controller != ALL:
             return self._tune(self.controller, scenario, console)
 
@@ -87,7 +87,7 @@ class Tune(CommandOptions):
                 budget=self.budget,
                 earthquakes=self.earthquakes,
                 seed=self.seed,
-                tuned=kept_values(self.keep),
+                tuned=kept_values(self.output),
                 on_trial=on_trial,
             )
         console.print(
@@ -96,7 +96,7 @@ class Tune(CommandOptions):
         )
         for parameter, value in found.parameters.items():
             console.print(f"  {parameter} = {value:.6g}")
-        if self.keep is not None:
-            keep(found, self.keep)
-            console.print(f"wrote {self.keep}")
+        if self.output is not None:
+            keep(found, self.output)
+            console.print(f"wrote {self.output}")
         return found.to_json()

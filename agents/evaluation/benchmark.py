@@ -106,7 +106,7 @@ def read_result(file: str | PathLike[str]) -> dict[str, Any]:
         lacks += [f"rows.{f.name}" for f in fields(GroupSummary) if not _fits(row, f.name)]
     if lacks:
         parts = described(dict.fromkeys(lacks))
-        remedy = f"is no complete result of shake bench (see {parts}): run it with --again"
+        remedy = f"is no complete result of shake benchmark (see {parts}): run it with --rerun"
         raise FileError("file", str(file), remedy)
     return result
 

@@ -301,7 +301,7 @@ def _check_same(found: dict[str, Any], before: dict[str, Any] | None) -> None:
     # Processors round differently, and 7 digits are written.
     if before is None or not np.allclose(found["cost"], before["cost"], rtol=1e-5):
         raise ParameterError(
-            "known", WITNESS, "its costs differ from the stored ones: evaluate all rows again (--again)"
+            "known", WITNESS, "its costs differ from the stored ones: evaluate all rows again (--rerun)"
         )
 
 

@@ -118,11 +118,15 @@ def _recipe(
 
 # The whole of a laboratory's envelope: rise, strong part and decay. Many earthquakes choose the policy
 # that is kept, for what is lost is lost rarely; and the last part of the stroke costs before it ends.
-_WHOLE: dict[str, Any] = {"episode": 15.0, "evaluation_earthquakes": 128}
+_WHOLE: dict[str, Any] = {"episode_duration": 15.0, "evaluation_earthquakes": 128}
 _EARLY = ("limits.soft_share=0.7", "limits.soft_weight=0.02")
 # And what a table may be asked for beside it: earthquakes that use all of its stroke, whose last fifth
 # costs.
-_STROKE: dict[str, Any] = {"episode": 15.0, "artificial": 24, "evaluation_earthquakes": 64}
+_STROKE: dict[str, Any] = {
+    "episode_duration": 15.0,
+    "num_artificial_motions": 24,
+    "evaluation_earthquakes": 64,
+}
 _SOFT = ("limits.soft_share=0.8", "limits.soft_weight=0.05")
 _WHOLE_NOISE = "the length of the test's earthquakes: a table that minds no place walks further in them"
 _LESS_NOISE = "four times the roll-out: what is left above the optimum is the noise of its gradients"
@@ -132,7 +136,7 @@ _EXPLORES_LITTLE = (
     f"a correction within a fiftieth of the current, for it explores a share of that; {_NO_SIDES}"
 )
 _BIASES = "biases, for friction and limits do not scale with the motion"
-_BIASED = APGOptions(scale_free=False)
+_BIASED = APGOptions(actor_bias=True)
 
 
 _OFF_POLICY: tuple[tuple[Literal["sac", "td3", "tqc"], float], ...] = (
@@ -147,8 +151,8 @@ def _correction(memory: int = 0, authority: float = 0.2) -> APGOptions:
     second, drive tables to the stroke's end.
     """
     return APGOptions(
-        base="lqg-searched", authority=authority, learning_rate=2e-4, window=256, tables=64,
-        memory=memory, scale_free=False,
+        base_controller="lqg-searched", residual_scale=authority, learning_rate=2e-4,
+        rollout_horizon=256, n_envs=64, gru_hidden_size=memory, actor_bias=True,
     )  # fmt: skip
 
 
@@ -159,15 +163,15 @@ _SMALL = 0.02
 
 def _corrected(arena: str, minutes: float, usual: dict[str, Any], otherwise: tuple[str, ...]) -> Recipe:
     """Return the recipe of PPO for the same correction, within about what gradients need for it."""
-    options = PPOOptions(base="lqg-searched", authority=_SMALL, scale_free=False)
-    config = TrainConfig(ppo=options, mirrored=True, **usual)
+    options = PPOOptions(base_controller="lqg-searched", residual_scale=_SMALL, actor_bias=True)
+    config = TrainConfig(ppo=options, odd_symmetry=True, **usual)
     return _recipe(arena, config, minutes, _EXPLORES_LITTLE, otherwise=otherwise)
 
 
 def _gradients_from_nothing(arena: str, learning_rate: float) -> Recipe:
     """Return the recipe of the analytic gradient for a linear table that is seen in full."""
-    options = APGOptions(tables=64, window=192, learning_rate=learning_rate)
-    config = TrainConfig(algorithm="apg", apg=options, episode=20.0, total_steps=15_728_640)
+    options = APGOptions(n_envs=64, rollout_horizon=192, learning_rate=learning_rate)
+    config = TrainConfig(algorithm="apg", apg=options, episode_duration=20.0, total_timesteps=15_728_640)
     why = f"windows of a second, whose end costs half a percent less; {_WHOLE_NOISE}"
     return _recipe(arena, config, 3.0, why)
 
@@ -176,8 +180,10 @@ def _ppo_from_nothing(
     arena: str, minutes: float, horizon: float = 0.3, *, biases: bool = False
 ) -> Recipe:
     """Return the recipe of PPO for a table that is seen in full, which looks `horizon` [s] ahead."""
-    options = PPOOptions(tables=256, batch_size=8192, epochs=6, scale_free=not biases)
-    config = TrainConfig(ppo=options, horizon=horizon, total_steps=24_000_000, mirrored=True)
+    options = PPOOptions(n_envs=256, batch_size=8192, n_epochs=6, actor_bias=biases)
+    config = TrainConfig(
+        ppo=options, discount_horizon=horizon, total_timesteps=24_000_000, odd_symmetry=True
+    )
     reasons = [_BIASES] if biases else []
     return _recipe(arena, config, minutes, "; ".join([*reasons, _LESS_NOISE, _NO_SIDES]))
 
@@ -185,29 +191,29 @@ def _ppo_from_nothing(
 RECIPES: tuple[Recipe, ...] = (
     _gradients_from_nothing("linear", 8e-4),
     _ppo_from_nothing("linear", 7.0),
-    _recipe("linear", TrainConfig(algorithm="sac", total_steps=700_000), 12.0, _LONG),
+    _recipe("linear", TrainConfig(algorithm="sac", total_timesteps=700_000), 12.0, _LONG),
     _recipe(
         "linear",
         TrainConfig(
             algorithm="td3",
             td3=TD3Options(
-                authority=0.06,
-                exploration=0.4,
-                target_noise=0.2,
+                residual_scale=0.06,
+                action_noise_std=0.4,
+                target_policy_noise=0.2,
                 target_noise_clip=0.5,
                 learning_rate=1e-3,
                 gradient_steps=20,
             ),
-            horizon=0.6,
-            total_steps=400_000,
-            mirrored=True,
+            discount_horizon=0.6,
+            total_timesteps=400_000,
+            odd_symmetry=True,
         ),
         7.0,
         f"little authority, much of it as exploration, a large step, as a search found; {_NO_SIDES}",
     ),
     _recipe(
         "linear",
-        TrainConfig(algorithm="tqc", total_steps=500_000, mirrored=True),
+        TrainConfig(algorithm="tqc", total_timesteps=500_000, odd_symmetry=True),
         12.0,
         f"{_LONG}; {_NO_SIDES}",
     ),
@@ -234,14 +240,16 @@ RECIPES: tuple[Recipe, ...] = (
     _ppo_from_nothing("friction-coarse", 5.0, biases=True),
     _recipe(
         "laboratory",
-        TrainConfig(algorithm="apg", apg=_correction(authority=0.3), total_steps=6_144_000, **_WHOLE),
+        TrainConfig(
+            algorithm="apg", apg=_correction(authority=0.3), total_timesteps=6_144_000, **_WHOLE
+        ),
         4.0,
         "corrects the best law that a search found",
         otherwise=_EARLY,
     ),
     _recipe(
         "laboratory",
-        TrainConfig(algorithm="apg", apg=_correction(), total_steps=6_144_000, **_STROKE),
+        TrainConfig(algorithm="apg", apg=_correction(), total_timesteps=6_144_000, **_STROKE),
         5.0,
         "minds the force thirty times as much, for a specimen feels nothing else; and holds its place "
         "on motions that use all of the stroke",
@@ -254,7 +262,7 @@ RECIPES: tuple[Recipe, ...] = (
         TrainConfig(
             algorithm="apg",
             apg=_correction(memory=64, authority=0.1),
-            total_steps=6_144_000,
+            total_timesteps=6_144_000,
             **_STROKE,
         ),
         7.0,
@@ -266,8 +274,8 @@ RECIPES: tuple[Recipe, ...] = (
         "unknown-specimen",
         TrainConfig(
             algorithm="recurrent-ppo",
-            recurrent_ppo=RecurrentPPOOptions(base="lqg-searched", authority=_SMALL),
-            total_steps=2_000_000,
+            recurrent_ppo=RecurrentPPOOptions(base_controller="lqg-searched", residual_scale=_SMALL),
+            total_timesteps=2_000_000,
             **_STROKE,
         ),
         6.0,
@@ -276,7 +284,9 @@ RECIPES: tuple[Recipe, ...] = (
     ),
     _recipe(
         "yielding",
-        TrainConfig(algorithm="apg", apg=_correction(authority=0.3), total_steps=4_915_200, **_WHOLE),
+        TrainConfig(
+            algorithm="apg", apg=_correction(authority=0.3), total_timesteps=4_915_200, **_WHOLE
+        ),
         4.0,
         "corrects the best law that a search found",
         otherwise=_EARLY,
@@ -289,10 +299,10 @@ RECIPES: tuple[Recipe, ...] = (
             "yielding",
             TrainConfig(
                 algorithm=algorithm,
-                sac=SACOptions(base="lqg-searched", authority=_SMALL),
-                td3=TD3Options(base="lqg-searched", authority=_SMALL),
-                tqc=TQCOptions(base="lqg-searched", authority=_SMALL),
-                mirrored=True,
+                sac=SACOptions(base_controller="lqg-searched", residual_scale=_SMALL),
+                td3=TD3Options(base_controller="lqg-searched", residual_scale=_SMALL),
+                tqc=TQCOptions(base_controller="lqg-searched", residual_scale=_SMALL),
+                odd_symmetry=True,
                 **_WHOLE,
             ),
             minutes,

@@ -90,7 +90,7 @@ def _read(file: Path, arena: Arena) -> dict[str, Any]:
             "results",
             str(file),
             f"is no result of {arena.name} as it is asked for now: move it away, or evaluate all rows "
-            "anew (--again), of the policies that there are",
+            "anew (--rerun), of the policies that there are",
         )
     return known
 
@@ -118,7 +118,7 @@ def _holds(row: Contestant, known: dict[str, Any], scenario: Scenario) -> bool:
         "policies",
         row.name,
         f"{here.total()} in the folder, not all of them among the {there.total()} of the stored row, "
-        "which they would replace: train as many seeds, move them away, or evaluate all rows (--again)",
+        "which they would replace: train as many seeds, move them away, or evaluate all rows (--rerun)",
     )
 
 

@@ -129,7 +129,7 @@ class Campaign:
         with file_errors(task.run):
             task.run.parent.mkdir(parents=True, exist_ok=True)
             (task.run / PROGRESS).unlink(missing_ok=True)  # that of the process before
-        command = f"shake campaign --only {task.recipe.name}"
+        command = f"shake run-experiments --experiments {task.recipe.name}"
         one = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
         paths = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
         with _log(task).open("wb") as log:

@@ -260,9 +260,8 @@ def _trial(
         tell(trial.number, told)
 
     try:
-        command = (
-            f"shake recipe-search {search.recipe.name} --share {search.share:g} --seed {search.seed}"
-        )
+        options = f"--step-fraction {search.share:g} --seed {search.seed}"
+        command = f"shake tune-training {search.recipe.name} {options}"
         go_on(config, run, report=report, command=command)
         judge.report()
         found = validation.judge(load_policy(run / POLICY))

@@ -85,12 +85,12 @@ class Choice:
 Knob = Range | Choice
 
 _RATE = Range(name="learning_rate", meaning="learning rate [-]", low=1e-4, high=3e-3)
-_AUTHORITY = Range(
-    name="authority", meaning="authority [share of the current limit]", low=0.02, high=1.0
+_RESIDUAL = Range(
+    name="residual_scale", meaning="residual scale [fraction of the current limit]", low=0.02, high=1.0
 )
-_SHORT = Range(name="horizon", meaning="horizon [s]", low=0.05, high=2.0)
+_SHORT = Range(name="discount_horizon", meaning="discount horizon [s]", low=0.05, high=2.0)
 _EXPLORATION = Range(
-    name="initial_log_std",
+    name="log_std_init",
     meaning="log of initial exploration [-]",
     low=-4.0,
     high=-1.0,
@@ -110,20 +110,20 @@ _PROXIMAL: tuple[Knob, ...] = (
         name="gae_lambda", meaning="lambda of the advantage [-]", low=0.8, high=0.99, logarithmic=False
     ),
     Range(name="clip_range", meaning="clip range [-]", low=0.1, high=0.4, logarithmic=False),
-    Choice(name="rollout_steps", meaning="roll-out [periods]", values=(64, 128, 256)),
+    Choice(name="n_steps", meaning="roll-out [periods]", values=(64, 128, 256)),
     Choice(name="minibatches", meaning="parts of a roll-out [-]", values=(1, 2, 4, 8, 16)),
-    _AUTHORITY,
+    _RESIDUAL,
 )
-_SOFT: tuple[Knob, ...] = (replace(_RATE, high=2e-3), _SHORT, _AUTHORITY, _UPDATES, _ENTROPY)
+_SOFT: tuple[Knob, ...] = (replace(_RATE, high=2e-3), _SHORT, _RESIDUAL, _UPDATES, _ENTROPY)
 _SPACES: dict[str, tuple[Knob, ...]] = {
     "apg": (
         _RATE,
         replace(_SHORT, low=0.5, high=20.0),
-        Range(name="window", meaning="window [periods]", low=32, high=384, whole=True),
+        Range(name="rollout_horizon", meaning="rollout horizon [periods]", low=32, high=384, whole=True),
         Range(name="max_grad_norm", meaning="bound on the gradient [-]", low=2.0, high=200.0),
-        Choice(name="tables", meaning="tables side by side [-]", values=(32, 64, 128, 256)),
-        _AUTHORITY,
-        Choice(name="memory", meaning="width of the memory [-]", values=(32, 64, 96)),
+        Choice(name="n_envs", meaning="environments in parallel [-]", values=(32, 64, 128, 256)),
+        _RESIDUAL,
+        Choice(name="gru_hidden_size", meaning="width of the memory [-]", values=(32, 64, 96)),
     ),
     "ppo": _PROXIMAL,
     "recurrent-ppo": _PROXIMAL,
@@ -132,8 +132,8 @@ _SPACES: dict[str, tuple[Knob, ...]] = {
     "td3": (
         *_SOFT[:-1],
         Range(
-            name="exploration",
-            meaning="exploration [share of the authority]",
+            name="action_noise_std",
+            meaning="action noise [fraction of the residual scale]",
             low=0.02,
             high=0.5,
         ),
@@ -146,18 +146,20 @@ def own_values(recipe: Recipe) -> dict[str, Value]:
     config, chosen = recipe.config, recipe.config.chosen
     found: dict[str, Value] = {}
     for knob in _SPACES[config.algorithm]:
-        if knob.name == "horizon":
+        if knob.name == "discount_horizon":
             found[knob.name] = config.lookahead
         elif knob.name == "minibatches":
-            samples = chosen.tables * chosen.rollout_steps  # type: ignore[union-attr]
+            samples = chosen.n_envs * chosen.n_steps  # type: ignore[union-attr]
             found[knob.name] = samples // chosen.batch_size  # type: ignore[union-attr]
         else:
             found[knob.name] = getattr(chosen, knob.name)
-    if not found.get("memory", 1):
-        del found["memory"]  # a policy without one is another kind of policy
-    found["base"] = chosen.base
-    if chosen.base == "none":
-        del found["authority"]  # of the whole current: less than all of it only takes from the policy
+    if not found.get("gru_hidden_size", 1):
+        del found["gru_hidden_size"]  # a policy without one is another kind of policy
+    found["base_controller"] = chosen.base_controller
+    if chosen.base_controller == "none":
+        del found[
+            "residual_scale"
+        ]  # of the whole current: less than all of it only takes from the policy
     return found
 
 
@@ -170,9 +172,9 @@ def space(recipe: Recipe) -> tuple[Knob, ...]:
         if knob.name in own
     ]
     if "minibatches" in own:
-        knobs = _dividing(knobs, recipe.config.chosen.tables, int(own["minibatches"]))
+        knobs = _dividing(knobs, recipe.config.chosen.n_envs, int(own["minibatches"]))
     if len(laws := suitable_laws(recipe)) > 1:
-        knobs.append(Choice(name="base", meaning="law that is corrected", values=laws))
+        knobs.append(Choice(name="base_controller", meaning="base controller", values=laws))
     return tuple(knobs)
 
 
@@ -181,7 +183,7 @@ def _dividing(knobs: Sequence[Knob], tables: int, parts: int) -> list[Knob]:
     kept = []
     lengths: tuple[Value, ...] = ()
     for knob in knobs:
-        if isinstance(knob, Choice) and knob.name == "rollout_steps":
+        if isinstance(knob, Choice) and knob.name == "n_steps":
             lengths = tuple(n for n in knob.values if tables * int(n) % parts == 0)
             knob = replace(knob, values=lengths)
         elif isinstance(knob, Choice) and knob.name == "minibatches":
@@ -199,12 +201,12 @@ def suitable_laws(recipe: Recipe) -> tuple[BaseLaw, ...]:
     analytic optimum the laws that reach it are left out: nothing would be learned.
     """
     chosen, scenario = recipe.config.chosen, recipe.config.scenario.build()
-    if chosen.base == "none":
+    if chosen.base_controller == "none":
         return ("none",)
     optimal = optimal_cost(scenario) is not None
     found: list[BaseLaw] = []
     for law in get_args(BaseLaw):
-        if law == "none" or (optimal and law != "flow" and law != chosen.base):
+        if law == "none" or (optimal and law != "flow" and law != chosen.base_controller):
             continue
         try:
             base_law(law, scenario)
@@ -228,20 +230,20 @@ def trial_config(recipe: Recipe, values: Mapping[str, Value], share: float) -> T
         raise ParameterError("share", share, "is a share of the recipe's steps: above 0, at most 1")
     config, own = recipe.with_seed(TRAIN_SEED), dict(values)
     steps = math.ceil(share * config.steps)
-    warmup = getattr(config.chosen, "warmup_steps", 0)
+    warmup = getattr(config.chosen, "learning_starts", 0)
     if steps <= warmup:
         remedy = f"a trial of {steps} steps ends within the {warmup} that run before the first gradient:"
         raise ParameterError("share", share, f"{remedy} above {warmup / config.steps:.2g}")
-    horizon = float(own.pop("horizon", config.lookahead))
+    horizon = float(own.pop("discount_horizon", config.lookahead))
     if parts := own.pop("minibatches", None):
-        tables = own.get("tables", config.chosen.tables)
-        rollout = own.get("rollout_steps", getattr(config.chosen, "rollout_steps", 1))
+        tables = own.get("n_envs", config.chosen.n_envs)
+        rollout = own.get("n_steps", getattr(config.chosen, "n_steps", 1))
         own["batch_size"] = int(tables) * int(rollout) // int(parts)
     options = replace(config.chosen, **own)  # type: ignore[arg-type]
     changed: dict[str, Any] = {
         config.algorithm.replace("-", "_"): options,
-        "horizon": horizon,
-        "total_steps": steps,
+        "discount_horizon": horizon,
+        "total_timesteps": steps,
         "evaluations": max(FEWEST_EVALUATIONS, round(share * config.evaluations)),
     }
     return replace(config, **changed)

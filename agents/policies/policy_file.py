@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from agents.earlier_names import present_card
 from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.policy_header import check_card, parse_header
 from agents.policies.recurrent_cells import PARTS, UNITS, GatedUnit, MemoryUnit, Weights, rest
@@ -245,7 +246,7 @@ def load_policy(path: str | PathLike[str]) -> PolicyFile:
             output=header["output"],
             base=_float32(arrays["base"], 1),
             authority=float(header["authority"]),
-            card=dict(header["card"]),
+            card=present_card(header["card"]),
             direct=bool(header.get("direct", False)),
             memory=memory,
             law=law,

@@ -135,7 +135,7 @@ def card_text(
     changed = ", ".join(f"{key} = {value}" for key, value in scenario.items())
     memory = "none" if policy.memory is None else f"{policy.memory.kind}, {policy.memory.units} units"
     widths = "x".join(str(len(bias)) for bias in policy.biases[:-1])
-    twice = ", one and its mirror image" if config.get("mirrored") else ""
+    twice = ", one and its mirror image" if config.get("odd_symmetry") else ""
     lines = [
         f"# {file.stem}",
         "",
@@ -191,7 +191,7 @@ def _first(card: dict[str, Any]) -> list[str]:
 def config_base(config: dict[str, Any]) -> str:
     """Return the base law that a configuration's policy corrects."""
     options = config.get(str(config.get("algorithm", "")).replace("-", "_"), {})
-    return str(options.get("base", "unknown"))
+    return str(options.get("base_controller", "unknown"))
 
 
 def _evaluation(result: dict[str, Any], row: dict[str, Any], sha: str) -> list[str]:

@@ -12,13 +12,13 @@ from agents.policies.base_names import BaseLaw
 class ProximalOptions:
     """What PPO takes, with a memory or without."""
 
-    tables: int = 64
+    n_envs: int = 64
     """Tables stepped side by side."""
-    rollout_steps: int = 128
+    n_steps: int = 128
     """Control periods a table runs between two updates; gradients of a memory look back no further."""
     batch_size: int = 2048
     """Samples of one gradient step; with a memory whole sequences."""
-    epochs: int = 10
+    n_epochs: int = 10
     """Passes over the data of one roll-out."""
     learning_rate: float = 3e-4
     """Initial learning rate; it falls linearly to zero."""
@@ -26,13 +26,13 @@ class ProximalOptions:
     """Lambda of the advantage estimate [-]."""
     clip_range: float = 0.2
     """Clip range of the probability ratio [-]."""
-    base: BaseLaw = "none"
+    base_controller: BaseLaw = "none"
     """Law that the policy corrects: none (from scratch); on the full state flow (the current that the
     table's own velocity uses), lqr or preview-lqr; lqg or lqg-dac, behind an estimator whose
     beliefs the policy is then shown as well; free, what a search found for the scenario."""
-    authority: float = 1.0
+    residual_scale: float = 1.0
     """What the policy can add to that law, as a fraction of the current limit."""
-    initial_log_std: float = -3.0
+    log_std_init: float = -3.0
     """Log of the initial exploration, relative to the authority. White action noise is expensive (2 % of
     LQR's current adds 10 % to its cost), but the update's trust region moves the policy by a share of
     it, so that too little of it learns slowly."""
@@ -42,10 +42,10 @@ class ProximalOptions:
 class PPOOptions(ProximalOptions):
     """Proximal policy optimisation (Schulman et al., 2017) as SB3 implements it."""
 
-    scale_free: bool = True
-    """Whether the actor has no biases, so that half the motion gets half the current. Right for a linear
-    plant; friction and limits need biases."""
-    critic_first: float = 0.0
+    actor_bias: bool = False
+    """Whether the actor has biases. Without, half the motion gets half the current, which is right for a
+    linear plant; friction and limits need biases."""
+    critic_warmup_fraction: float = 0.0
     """Share of the run in which the critic alone is trained. A warm-started policy has no trained
     critic; advantages from an untrained critic degrade it."""
 
@@ -54,9 +54,9 @@ class PPOOptions(ProximalOptions):
 class RecurrentPPOOptions(ProximalOptions):
     """PPO with a long short-term memory, as sb3-contrib implements it."""
 
-    epochs: int = 5
+    n_epochs: int = 5
     """Passes over the data of one roll-out."""
-    units: int = 64
+    lstm_hidden_size: int = 64
     """Width of the memory; actor and critic have one each."""
 
 
@@ -64,7 +64,7 @@ class RecurrentPPOOptions(ProximalOptions):
 class OffPolicyOptions:
     """What algorithms that learn from remembered transitions take."""
 
-    tables: int = 64
+    n_envs: int = 64
     """Tables stepped side by side."""
     batch_size: int = 256
     """Samples of one gradient step."""
@@ -74,14 +74,14 @@ class OffPolicyOptions:
     """Initial learning rate; it falls linearly to zero."""
     buffer_size: int = 400_000
     """Transitions remembered."""
-    warmup_steps: int = 20_000
+    learning_starts: int = 20_000
     """Control periods that the untrained policy runs before the first gradient step."""
     tau: float = 0.005
     """Rate at which target networks follow [-]."""
-    base: BaseLaw = "flow"
+    base_controller: BaseLaw = "flow"
     """Law that the policy corrects, as PPO's; from nothing, the critic cannot tell good currents from
     bad before the tables are lost."""
-    authority: float = 0.2
+    residual_scale: float = 0.2
     """What the policy can add to that law, as a fraction of the current limit."""
 
 
@@ -91,7 +91,7 @@ class SACOptions(OffPolicyOptions):
 
     target_entropy: float = -2.0
     """Entropy that exploration settles at [nats], relative to the authority."""
-    initial_log_std: float = -1.5
+    log_std_init: float = -1.5
     """Log of the initial exploration, relative to the authority."""
 
 
@@ -101,9 +101,9 @@ class TD3Options(OffPolicyOptions):
 
     policy_delay: int = 2
     """Gradient steps of the critics for one of the actor."""
-    exploration: float = 0.1
+    action_noise_std: float = 0.1
     """Standard deviation of the white noise on the action, relative to the authority."""
-    target_noise: float = 0.1
+    target_policy_noise: float = 0.1
     """Standard deviation of the noise that smooths the critics' targets, relative to the authority."""
     target_noise_clip: float = 0.25
     """Bound on that noise, relative to the authority."""
@@ -115,11 +115,11 @@ class TQCOptions(SACOptions):
 
     gradient_steps: int = 8
     """Gradient steps for each control period of all the tables; each costs about twice SAC's."""
-    quantiles: int = 25
+    n_quantiles: int = 25
     """Quantiles of the return that a critic estimates."""
-    critics: int = 2
+    n_critics: int = 2
     """Number of critics."""
-    dropped: int = 2
+    top_quantiles_to_drop_per_net: int = 2
     """Highest quantiles of each critic that targets leave out."""
 
 
@@ -127,14 +127,14 @@ class TQCOptions(SACOptions):
 class APGOptions:
     """Analytic policy gradient: back-propagation through the plant (see `analytic_gradient`)."""
 
-    tables: int = 128
+    n_envs: int = 128
     """Tables followed side by side."""
-    window: int = 96
+    rollout_horizon: int = 96
     """Control periods that a gradient looks back through. What they leave out is the specimen's ringing:
     a shorter window costs base shear first."""
     learning_rate: float = 1e-3
     """Highest learning rate; it rises over the warm-up and then falls linearly to zero."""
-    warmup: float = 0.05
+    lr_warmup_fraction: float = 0.05
     """Share of the run over which the learning rate rises. The first gradients all point one way, and at
     full rate may carry the loop's gain past what is stable."""
     max_grad_norm: float = 20.0
@@ -145,16 +145,16 @@ class APGOptions:
     remembers, and a critic's slope is less certain than its value: for short windows."""
     td_lambda: float = 0.95
     """Lambda of the critic's targets [-], with a terminal value."""
-    memory: int = 0
+    gru_hidden_size: int = 0
     """Width of the policy's gated recurrent unit; 0: a policy without memory."""
-    checkpoint: int = 0
+    checkpoint_segment_length: int = 0
     """Control periods of a segment that is run again when the gradient is taken instead of being kept,
     for windows too long to be kept whole; 0: none is. Memory is least near the window's square root."""
-    scale_free: bool = True
-    """Whether the actor has no biases (see PPO's); without effect on a policy with memory."""
-    base: BaseLaw = "none"
+    actor_bias: bool = False
+    """Whether the actor has biases (see PPO's); a policy with memory always has them."""
+    base_controller: BaseLaw = "none"
     """Law that the policy corrects, as PPO's."""
-    authority: float = 1.0
+    residual_scale: float = 1.0
     """What the policy can add to that law, as a fraction of the current limit."""
     precision: Literal["float64", "float32"] = "float64"
     """Precision of the plant's state."""

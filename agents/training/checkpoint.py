@@ -147,7 +147,7 @@ def require_no_pickles(run: str | PathLike[str]) -> None:
             str(folder),
             f"are of an earlier version ({described(sorted(earlier))}) and hold pickles, which run code "
             "when they are read: they are not read. Train in a new directory; the best policy so far "
-            "is best.safetensors in this one, with which --config.start can begin",
+            "is best.safetensors in this one, with which --config.init-policy can begin",
         )
 
 

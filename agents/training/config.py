@@ -10,6 +10,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
 
+from agents.earlier_names import present_config, warn_of_old_names
 from agents.plain_values import differences, typed
 from agents.run_directory import CONFIG, described, read_json
 from agents.scenario_options import ScenarioOptions
@@ -54,28 +55,28 @@ class TrainConfig:
     """Options of PPO with a memory, used with --algorithm recurrent-ppo."""
     apg: APGOptions = field(default_factory=APGOptions)
     """Options of the analytic policy gradient, used with --algorithm apg."""
-    start: str | None = None
-    """Policy to begin with instead of nothing: a policy file, a run directory or the name of one that
-    ships. The actor takes its weights; a critic begins anew."""
+    init_policy: str | None = None
+    """Policy to initialise the actor with: a policy file, a run directory or the name of one that ships
+    (default: random). A critic is always initialised at random."""
     seed: int = 0
     """Seed of networks, exploration and earthquakes."""
-    total_steps: int | None = None
+    total_timesteps: int | None = None
     """Control periods of all tables together (unset: 4 million for PPO, 3 million with a memory, 250
     thousand for SAC, TD3 and TQC, 12 million for the analytic gradient; 2 to 10 minutes)."""
-    horizon: float | None = None
+    discount_horizon: float | None = None
     """Time over which the discount looks ahead [s] (unset: 0.25, for the analytic gradient 5);
-    discount = exp(-control period / horizon)."""
-    episode: float = 10.0
+    discount = exp(-control period / discount_horizon)."""
+    episode_duration: float = 10.0
     """Length of a training earthquake [s]."""
-    artificial: int = 0
+    num_artificial_motions: int = 0
     """Artificial earthquakes of other spectra, scaled to all of the table's stroke, that every other
     training episode is drawn from (see `artificial`)."""
     state_limit: float = 12.0
     """A training episode ends when a scaled state leaves this bound [multiples of its rms]."""
-    mirrored: bool = False
-    """Whether what is evaluated and kept is the policy averaged with its mirror image (see `mirror`):
-    what a learner's noise leaves of even is error. Not for one with a memory."""
-    hidden: tuple[int, ...] = (64, 64)
+    odd_symmetry: bool = False
+    """Whether the policy that is evaluated and exported is averaged with its mirror image, so that it is
+    odd: -pi(-x) = pi(x), as the plant is (see `symmetry`). Not for a policy with a memory."""
+    net_arch: tuple[int, ...] = (64, 64)
     """Width of each hidden layer."""
     evaluations: int = 20
     """Evaluations over the run, the first before it, and one after it; the best one's policy is kept."""
@@ -88,46 +89,49 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         require_positive(
-            self, "episode", "state_limit", "evaluations",
+            self, "episode_duration", "state_limit", "evaluations",
             "evaluation_earthquakes", "checkpoint_interval", "threads",
         )  # fmt: skip
-        for name in ("total_steps", "horizon"):
+        for name in ("total_timesteps", "discount_horizon"):
             if getattr(self, name) is not None:
                 require_positive(self, name)
         for ppo in (self.ppo, self.recurrent_ppo):
-            if (samples := ppo.tables * ppo.rollout_steps) % ppo.batch_size:
+            if (samples := ppo.n_envs * ppo.n_steps) % ppo.batch_size:
                 raise ParameterError(
                     "batch_size", ppo.batch_size, f"must divide the {samples} samples of a roll-out"
                 )
         not_positive = (
-            "initial_log_std", "target_entropy", "base", "scale_free", "terminal_value", "memory",
-            "precision", "device", "dropped", "checkpoint", "critic_first",
+            "log_std_init", "target_entropy", "base_controller", "actor_bias", "terminal_value",
+            "gru_hidden_size", "precision", "device", "top_quantiles_to_drop_per_net",
+            "checkpoint_segment_length", "critic_warmup_fraction",
         )  # fmt: skip
         every = (self.ppo, self.sac, self.td3, self.tqc, self.recurrent_ppo, self.apg)
         for options in every:
             require_positive(options, *(name for name in vars(options) if name not in not_positive))
-        require_non_negative(self, "seed", "artificial")
-        if self.artificial and self.seed >= MOST_RUNS:
+        require_non_negative(self, "seed", "num_artificial_motions")
+        if self.num_artificial_motions and self.seed >= MOST_RUNS:
             raise ParameterError(
                 "seed",
                 self.seed,
                 f"artificial earthquakes from seed {MOST_RUNS} on are those that runs are judged by",
             )
-        require_non_negative(self.apg, "memory", "checkpoint")
-        require_non_negative(self.tqc, "dropped")
-        if self.tqc.dropped >= self.tqc.quantiles:
-            raise ParameterError("dropped", self.tqc.dropped, "must leave a quantile of each critic")
-        if not 0.0 <= (share := self.ppo.critic_first) < 1.0:
-            raise ParameterError("critic_first", share, "is a share of the run: 0 or more, below 1")
-        if self.apg.warmup >= 1.0:
-            raise ParameterError("warmup", self.apg.warmup, "is a share of the run: below 1")
+        require_non_negative(self.apg, "gru_hidden_size", "checkpoint_segment_length")
+        require_non_negative(self.tqc, dropped := "top_quantiles_to_drop_per_net")
+        if (number := self.tqc.top_quantiles_to_drop_per_net) >= self.tqc.n_quantiles:
+            raise ParameterError(dropped, number, "must leave a quantile of each critic")
+        if not 0.0 <= (fraction := self.ppo.critic_warmup_fraction) < 1.0:
+            remedy = "is a fraction of the run: 0 or more, below 1"
+            raise ParameterError("critic_warmup_fraction", fraction, remedy)
+        if (fraction := self.apg.lr_warmup_fraction) >= 1.0:
+            raise ParameterError("lr_warmup_fraction", fraction, "is a fraction of the run: below 1")
         for options in every:
-            if not 0.0 < options.authority <= 1.0:
-                raise ParameterError("authority", options.authority, "must lie above 0 and not above 1")
-        if self.mirrored and self.remembers:
-            raise ParameterError("mirrored", True, "a policy with a memory would need two: leave it out")
-        if not self.hidden or min(self.hidden) < 1:
-            raise ParameterError("hidden", self.hidden, "give the width of each layer, e.g. 64 64")
+            if not 0.0 < (scale := options.residual_scale) <= 1.0:
+                raise ParameterError("residual_scale", scale, "must lie above 0 and not above 1")
+        if self.odd_symmetry and self.remembers:
+            remedy = "a policy with a memory would need two: leave it out"
+            raise ParameterError("odd_symmetry", True, remedy)
+        if not self.net_arch or min(self.net_arch) < 1:
+            raise ParameterError("net_arch", self.net_arch, "give the width of each layer, e.g. 64 64")
 
     @property
     def chosen(self) -> Options:
@@ -139,18 +143,18 @@ class TrainConfig:
     def remembers(self) -> bool:
         """Whether the policy has a memory."""
         recurrent = self.algorithm == "recurrent-ppo"
-        return recurrent or (self.algorithm == "apg" and self.apg.memory > 0)
+        return recurrent or (self.algorithm == "apg" and self.apg.gru_hidden_size > 0)
 
     @property
     def steps(self) -> int:
         """Control periods to train for."""
         usual = {"ppo": 4_000_000, "recurrent-ppo": 3_000_000, "apg": 12_288_000}
-        return self.total_steps or usual.get(self.algorithm, 250_000)
+        return self.total_timesteps or usual.get(self.algorithm, 250_000)
 
     @property
     def lookahead(self) -> float:
         """Horizon of the discount [s]."""
-        return self.horizon or (5.0 if self.algorithm == "apg" else 0.25)
+        return self.discount_horizon or (5.0 if self.algorithm == "apg" else 0.25)
 
     def discount(self, control_period: float) -> float:
         """Return gamma for a control period [s]."""
@@ -165,13 +169,14 @@ class TrainConfig:
 def config_of(values: object) -> TrainConfig:
     """Return the configuration that :meth:`TrainConfig.to_json` made these values of.
 
-    Options that an older version did not have take their defaults.
+    Options that an older version did not have take their defaults; old names are understood.
 
     Raises
     ------
     ValueError
         If an option is unknown, missing, of another type or outside its range.
     """
+    values = present_config(values)
     missing = [name for name in _ALWAYS if not isinstance(values, Mapping) or name not in values]
     if missing:
         raise ValueError(f"{described(missing)} not given")
@@ -179,7 +184,9 @@ def config_of(values: object) -> TrainConfig:
 
 
 # What the configurations of every version hold: without one of these a file is none.
-_ALWAYS = ("algorithm", "scenario", "ppo", "sac", "seed", "total_steps", "episode", "hidden")
+_ALWAYS = (
+    "algorithm", "scenario", "ppo", "sac", "seed", "total_timesteps", "episode_duration", "net_arch",
+)  # fmt: skip
 
 
 def read_config(run: str | PathLike[str]) -> TrainConfig:
@@ -192,6 +199,7 @@ def read_config(run: str | PathLike[str]) -> TrainConfig:
     """
     run = Path(run)
     values = read_json(run / CONFIG, RunDirectoryError, "configuration", largest=2**20)
+    warn_of_old_names(values, str(run / CONFIG))
     try:
         return config_of(values)
     except ValueError as error:

@@ -56,10 +56,10 @@ class WarmTQC(_Warm, TQC):
     """TQC that warms up with its own untrained policy."""
 
 
-class CriticFirstPPO(PPO):
-    """PPO whose actor stands still for the first share `critic_first` of a run."""
+class CriticWarmupPPO(PPO):
+    """PPO whose actor stands still for the first share `critic_warmup_fraction` of a run."""
 
-    critic_first = 0.0
+    critic_warmup_fraction = 0.0
 
     def train(self) -> None:
         """Learn from a roll-out; see PPO."""
@@ -68,7 +68,7 @@ class CriticFirstPPO(PPO):
             actor = [parameter for layer in layers for parameter in layer.parameters()]
             # A scale-free actor's biases never move.
             self._moving = [p for p in (*actor, self.policy.log_std) if p.requires_grad]
-        waits = 1.0 - self._current_progress_remaining < self.critic_first
+        waits = 1.0 - self._current_progress_remaining < self.critic_warmup_fraction
         for parameter in self._moving:
             parameter.requires_grad_(not waits)
         super().train()
@@ -79,7 +79,7 @@ class CriticFirstPPO(PPO):
 
 Model = PPO | SAC | TD3 | TQC | RecurrentPPO | AnalyticPolicyGradient
 ALGORITHMS: dict[str, type[Model]] = {
-    "ppo": CriticFirstPPO,
+    "ppo": CriticWarmupPPO,
     "sac": WarmSAC,
     "td3": WarmTD3,
     "tqc": WarmTQC,
@@ -118,7 +118,7 @@ def new_model(
     With `direct` PPO's actor has a linear path beside its network, as the gradient's has.
     """
     policy: dict[str, Any] = {
-        "net_arch": list(config.hidden),
+        "net_arch": list(config.net_arch),
         # The linear optimum is a linear law, which rectifiers can represent exactly and tanh cannot.
         "activation_fn": torch.nn.ReLU,
         "features_extractor_class": LinearFeatures,
@@ -130,21 +130,21 @@ def new_model(
     gamma = config.discount(scenario.control_period)
     if config.algorithm == "ppo":
         ppo = config.ppo
-        proximal = CriticFirstPPO(
-            _ACTORS[ppo.scale_free, direct],
+        proximal = CriticWarmupPPO(
+            _ACTORS[not ppo.actor_bias, direct],
             env,
-            n_steps=ppo.rollout_steps,
+            n_steps=ppo.n_steps,
             batch_size=ppo.batch_size,
-            n_epochs=ppo.epochs,
+            n_epochs=ppo.n_epochs,
             learning_rate=LinearDecay(ppo.learning_rate),
             gae_lambda=ppo.gae_lambda,
             clip_range=ppo.clip_range,
             gamma=gamma,
             seed=config.seed,
-            policy_kwargs={**policy, "log_std_init": ppo.initial_log_std},
+            policy_kwargs={**policy, "log_std_init": ppo.log_std_init},
             device="cpu",
         )
-        proximal.critic_first = ppo.critic_first
+        proximal.critic_warmup_fraction = ppo.critic_warmup_fraction
         return proximal
     if config.algorithm == "recurrent-ppo":
         return _recurrent(config, policy, env, gamma)
@@ -162,7 +162,7 @@ def _off_policy(
         "gradient_steps": chosen.gradient_steps,
         "learning_rate": LinearDecay(chosen.learning_rate),
         "buffer_size": chosen.buffer_size,
-        "learning_starts": chosen.warmup_steps,
+        "learning_starts": chosen.learning_starts,
         "tau": chosen.tau,
         "gamma": gamma,
         "seed": config.seed,
@@ -173,8 +173,8 @@ def _off_policy(
             "MlpPolicy",
             env,
             policy_delay=chosen.policy_delay,
-            action_noise=NormalActionNoise(np.zeros(1), np.full(1, chosen.exploration)),
-            target_policy_noise=chosen.target_noise,
+            action_noise=NormalActionNoise(np.zeros(1), np.full(1, chosen.action_noise_std)),
+            target_policy_noise=chosen.target_policy_noise,
             target_noise_clip=chosen.target_noise_clip,
             policy_kwargs=policy,
             **common,
@@ -186,18 +186,18 @@ def _off_policy(
     entropy: dict[str, Any] = {"target_entropy": chosen.target_entropy, "ent_coef": "auto_0.001"}
     soft: SAC | TQC
     if isinstance(chosen, TQCOptions):
-        quantiles = {"n_quantiles": chosen.quantiles, "n_critics": chosen.critics}
+        quantiles = {"n_quantiles": chosen.n_quantiles, "n_critics": chosen.n_critics}
         soft = WarmTQC(
             "MlpPolicy",
             env,
-            top_quantiles_to_drop_per_net=chosen.dropped,
+            top_quantiles_to_drop_per_net=chosen.top_quantiles_to_drop_per_net,
             policy_kwargs={**policy, **quantiles},
             **entropy,
             **common,
         )
     else:
         soft = WarmSAC("MlpPolicy", env, policy_kwargs=policy, **entropy, **common)
-    _shrink(soft.actor.log_std, chosen.initial_log_std)
+    _shrink(soft.actor.log_std, chosen.log_std_init)
     _shrink(soft.actor.mu)
     return soft
 
@@ -217,16 +217,16 @@ def _recurrent(
     return RecurrentPPO(
         LSTMPolicy,
         env,
-        n_steps=chosen.rollout_steps,
+        n_steps=chosen.n_steps,
         batch_size=chosen.batch_size,
-        n_epochs=chosen.epochs,
+        n_epochs=chosen.n_epochs,
         learning_rate=LinearDecay(chosen.learning_rate),
         gae_lambda=chosen.gae_lambda,
         clip_range=chosen.clip_range,
         gamma=gamma,
         seed=config.seed,
         policy_kwargs={
-            **policy, "log_std_init": chosen.initial_log_std, "lstm_hidden_size": chosen.units
+            **policy, "log_std_init": chosen.log_std_init, "lstm_hidden_size": chosen.lstm_hidden_size
         },
         device="cpu",
     )  # fmt: skip
@@ -237,10 +237,10 @@ def _analytic(
 ) -> AnalyticPolicyGradient:
     analytic = config.apg
     kind: type[ActorCriticPolicy]
-    if analytic.memory:
-        kind, policy = GRUPolicy, {**policy, "units": analytic.memory}
+    if analytic.gru_hidden_size:
+        kind, policy = GRUPolicy, {**policy, "units": analytic.gru_hidden_size}
     else:
-        kind = _ACTORS[analytic.scale_free, True]
+        kind = _ACTORS[not analytic.actor_bias, True]
     # Exact gradients need no long averages: short ones forget a window in which the loop rang. SB3's
     # epsilon of 1e-5 is of the size of the gradient's entries near the optimum: Adam would stop there.
     policy["optimizer_kwargs"] = {"betas": (0.7, 0.95), "eps": 1e-8}
@@ -248,14 +248,14 @@ def _analytic(
     return AnalyticPolicyGradient(
         kind,
         env,
-        learning_rate=WarmUp(analytic.learning_rate, analytic.warmup),
-        window=analytic.window,
+        learning_rate=WarmUp(analytic.learning_rate, analytic.lr_warmup_fraction),
+        window=analytic.rollout_horizon,
         gamma=gamma,
         td_lambda=analytic.td_lambda,
         max_grad_norm=analytic.max_grad_norm * (1.0 - gamma),  # rewards are scaled by that, too
         terminal_value=analytic.terminal_value,
         plant_dtype=analytic.precision,
-        checkpoint=analytic.checkpoint,
+        checkpoint=analytic.checkpoint_segment_length,
         seed=config.seed,
         policy_kwargs=policy,
         device=analytic.device,

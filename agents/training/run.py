@@ -82,7 +82,7 @@ def train(
     report: Callable[[Progress], None] = lambda progress: None,
     command: str | None = None,
 ) -> TrainResult:
-    """Train from scratch, or from `config.start`, into a new run directory.
+    """Train from scratch, or from `config.init_policy`, into a new run directory.
 
     Parameters
     ----------
@@ -254,12 +254,12 @@ def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
     made = make_training_scenario(
         scenario,
         horizon=config.lookahead,
-        duration=config.episode,
+        duration=config.episode_duration,
         state_limit=config.state_limit,
     )
-    if isinstance(made.motion, FilteredNoise) and config.artificial:
-        others = artificial_motions(scenario, config.artificial, config.seed * RUN_SEEDS)
-        made = replace(made, motion=MotionSet((*[made.motion] * config.artificial, *others)))
+    if isinstance(made.motion, FilteredNoise) and config.num_artificial_motions:
+        others = artificial_motions(scenario, config.num_artificial_motions, config.seed * RUN_SEEDS)
+        made = replace(made, motion=MotionSet((*[made.motion] * config.num_artificial_motions, *others)))
     return made
 
 
@@ -268,9 +268,9 @@ def training_tables(config: TrainConfig, scenario: Scenario) -> ShakeTableVecEnv
     chosen = config.chosen
     return ShakeTableVecEnv(
         training_scenario(config, scenario),
-        chosen.tables,
-        base=base_law(chosen.base, scenario, at_own_cost(scenario, config.scenario.scenario)),
-        authority=chosen.authority,
+        chosen.n_envs,
+        base=base_law(chosen.base_controller, scenario, at_own_cost(scenario, config.scenario.scenario)),
+        authority=chosen.residual_scale,
         reward_scale=reward_scale(scenario, config.discount(scenario.control_period)),
     )
 
@@ -292,13 +292,13 @@ class _Watch(BaseCallback):
         super().__init__()
         self.config, self.tables, self.run, self.report = config, env, run, report
         scenario = config.scenario.build()
-        of_training = training_scenario(replace(config, artificial=0), scenario)
+        of_training = training_scenario(replace(config, num_artificial_motions=0), scenario)
         self.scenario = replace(scenario, motion=of_training.motion)
         self.earthquakes = noise_earthquakes(
             self.scenario, config.evaluation_earthquakes, EVALUATION_SEED
         )
-        if config.artificial:
-            others = artificial_motions(scenario, config.artificial, EVALUATION_SEED)
+        if config.num_artificial_motions:
+            others = artificial_motions(scenario, config.num_artificial_motions, EVALUATION_SEED)
             self.earthquakes += [Earthquake(m.source.name, m) for m in others]
         self.reference = "LQR" if lqr_suits(self.scenario) else "oracle"
         self.earthquakes, self.reference_cost = _reference(self.scenario, self.earthquakes)
@@ -348,7 +348,7 @@ class _Watch(BaseCallback):
     def evaluate(self) -> None:
         """Write the policy's mean cost on the fixed earthquakes down, and keep it if it is the best."""
         policy = export_policy(self.model, self.tables, self.card)
-        if self.config.mirrored:
+        if self.config.odd_symmetry:
             policy = mirror_averaged(policy)
         metrics, found = rollout(policy, self.scenario, self.earthquakes, record=(0,))
         cost = float(np.mean([m.cost for m in metrics]))

@@ -21,7 +21,9 @@ from shake_env.errors import PolicyFileError
 
 def first_file(config: TrainConfig) -> Path | None:
     """Return the file of the policy that a run begins with, or None where it begins from nothing."""
-    return None if config.start is None else policy_path(config.start, config.scenario.scenario)
+    return (
+        None if config.init_policy is None else policy_path(config.init_policy, config.scenario.scenario)
+    )
 
 
 def begin_with(model: Model, env: ShakeTableVecEnv, policy: PolicyFile) -> None:
@@ -43,7 +45,7 @@ def begin_with(model: Model, env: ShakeTableVecEnv, policy: PolicyFile) -> None:
         weights[-1] = np.pad(weights[-1], ((0, 0), (0, actor.direct)))
     frozen = [not layer.bias.requires_grad for layer in actor.linear]
     if any(still and bias.any() for still, bias in zip(frozen, policy.biases, strict=True)):
-        remedy = "the actor here is scale-free: give the option --config.ALGORITHM.no-scale-free"
+        remedy = "the actor here is scale-free: give the option --config.ALGORITHM.actor-bias"
         raise PolicyFileError("biases", "not zero", remedy)
     with torch.no_grad():
         for layer, weight, bias, scale in zip(
@@ -70,12 +72,12 @@ def _require_like(own: PolicyFile, given: PolicyFile) -> None:
 
     alike = own.matrix.shape == given.matrix.shape and np.allclose(own.matrix, given.matrix, rtol=1e-5)
     count = own.matrix.shape[0]
-    remedy = f"here others, {count}: give scenario and --config.ALGORITHM.base as its card has them"
+    remedy = f"here {count}: give scenario and --config.ALGORITHM.base-controller as its card has them"
     require(alike, "features", f"{given.matrix.shape[0]} features", remedy)
-    remedy = "here another: give --config.ALGORITHM.base as its card has it"
+    remedy = "here another: give --config.ALGORITHM.base-controller as its card has it"
     same = np.allclose(own.base, given.base) and _same_law(own.law, given.law)
     require(same, "law", "its own", remedy)
-    remedy = f"here {own.authority:g}: give --config.ALGORITHM.authority {given.authority:g}"
+    remedy = f"here {own.authority:g}: give --config.ALGORITHM.residual-scale {given.authority:g}"
     require(own.authority == given.authority, "authority", f"{given.authority:g}", remedy)
     remedy = f"here {own.output}: SAC, TQC and TD3 end in a tanh, PPO and the gradient in a clip"
     require(own.output == given.output, "output", given.output, remedy)
@@ -85,7 +87,7 @@ def _require_like(own: PolicyFile, given: PolicyFile) -> None:
     require(kinds[0] == kinds[1], "memory", kinds[1], f"here {kinds[0]}")
     widths = [[len(bias) for bias in policy.biases[:-1]] for policy in (own, given)]
     asked = " ".join(map(str, widths[1]))
-    require(widths[0] == widths[1], "layers", asked, f"here others: give --config.hidden {asked}")
+    require(widths[0] == widths[1], "layers", asked, f"here others: give --config.net-arch {asked}")
 
 
 def _same_law(own: EstimatedLaw | None, given: EstimatedLaw | None) -> bool:

@@ -29,7 +29,7 @@ RENDER_MODES = ["human", "rgb_array"]
 FRAME_RATE = 30.0  # [Hz] frames a second of simulated time
 UNSEEN = ("dummy", "offscreen")  # SDL's drivers without a display
 NO_DISPLAY = "no window can be seen here"
-REMEDY = "use render_mode='rgb_array', or shake watch --save FILE"
+REMEDY = "use render_mode='rgb_array', or shake play --save FILE"
 INSTALL = install_hint("render")
 
 

@@ -70,8 +70,8 @@ def make_scenario(
     ----------
     scenario
         A name (``"linear"``, ``"as-printed"``, ``"laboratory"``, ``"unknown-specimen"``,
-        ``"yielding"``, ``"records"``), the path of a JSON file that ``shake scenario --json`` printed
-        (it ends in ``.json`` or is an ``os.PathLike``), or a scenario.
+        ``"yielding"``, ``"records"``), the path of a JSON file that ``shake show-scenario --json``
+        printed (it ends in ``.json`` or is an ``os.PathLike``), or a scenario.
     overrides
         ``stories``, ``mass_ratio``, ``storey_frequency`` [Hz], ``damping_ratio`` (equal storeys) or
         ``specimen``; ``equations`` ("corrected", "as_printed" or a value); ``physics_step`` [s],

@@ -1,4 +1,4 @@
-"""A scenario as plain values by path, and back: the JSON that ``shake scenario --json`` prints."""
+"""A scenario as plain values by path, and back: the JSON that ``shake show-scenario --json`` prints."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def scenario_of(values: Mapping[str, Any]) -> Scenario:
 
 
 def read_scenario(file: str | os.PathLike[str]) -> Scenario:
-    """Return the scenario that a JSON file of ``shake scenario --json`` holds.
+    """Return the scenario that a JSON file of ``shake show-scenario --json`` holds.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def read_scenario(file: str | os.PathLike[str]) -> Scenario:
         raise ScenarioError(
             "scenario file",
             str(file),
-            "has no object 'fields': write one by shake scenario --json > FILE",
+            "has no object 'fields': write one by shake show-scenario --json > FILE",
         )
     try:
         scenario = scenario_of(found["fields"])
@@ -124,9 +124,9 @@ def _object(path: Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         if isinstance(error, ShakeError):
             raise
-        raise refused(f"is no JSON ({error}): write it by shake scenario --json > FILE") from None
+        raise refused(f"is no JSON ({error}): write it by shake show-scenario --json > FILE") from None
     if not isinstance(found, dict):
-        raise refused("must hold one JSON object, as shake scenario --json prints it")
+        raise refused("must hold one JSON object, as shake show-scenario --json prints it")
     return found
 
 

@@ -128,12 +128,12 @@ def test_only_regular_files_of_sane_size_are_read(tmp_path):
     [
         ({"algorithm": "magic"}, "algorithm is 'magic': known are 'ppo'"),
         ({"algorithm": 5}, "algorithm is 5"),
-        ({"hidden": 64}, "hidden is 64: must be a list"),
-        ({"hidden": ["wide"]}, "hidden is 'wide'"),
+        ({"net_arch": 64}, "net_arch is 64: must be a list"),
+        ({"net_arch": ["wide"]}, "net_arch is 'wide'"),
         ({"seed": None}, "seed is None"),
         ({"ppo": []}, "ppo must be a JSON object"),
-        ({"ppo": {"tables": True}}, "ppo.tables is True"),
-        ({"ppo": {"tables": -64}}, "tables"),
+        ({"ppo": {"n_envs": True}}, "ppo.n_envs is True"),
+        ({"ppo": {"n_envs": -64}}, "n_envs"),
         ({"later_option": 1}, "later_option is unknown"),
         ({"scenario": {"set": "x"}}, "scenario.set"),
     ],
@@ -147,9 +147,9 @@ def test_a_configuration_is_checked_field_by_field(tmp_path, changed, reason):
 
 def test_a_configuration_without_its_parts_is_none(tmp_path):
     values = TrainConfig().to_json()
-    del values["algorithm"], values["hidden"]
+    del values["algorithm"], values["net_arch"]
     write_json(tmp_path / CONFIG, values)
-    with pytest.raises(RunDirectoryError, match="algorithm, hidden not given"):
+    with pytest.raises(RunDirectoryError, match="algorithm, net_arch not given"):
         read_config(tmp_path)
 
 
@@ -222,7 +222,7 @@ def test_results_of_the_documentation_are_complete_and_others_are_named(tmp_path
         other = json.loads(json.dumps(result))
         damage(other)
         write_json(tmp_path / "bench_linear.json", other)
-        with pytest.raises(FileError, match="no complete result of shake bench"):
+        with pytest.raises(FileError, match="no complete result of shake benchmark"):
             bench.read_results(tmp_path)
     protocol = json.loads((folder / "evaluation_linear.json").read_text())
     protocol["episodes"].popitem()

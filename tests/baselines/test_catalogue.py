@@ -137,7 +137,7 @@ def test_bench_writes_results_and_renews_a_page(tmp_path, capsys, monkeypatch):
     page.write_text("before\n<!-- bench yielding -->\nold\n<!-- end yielding -->\nafter\n")
     kept = {name: BASELINES[name] for name in ("none", "preview-lqr", "pid")}
     monkeypatch.setattr("agents.evaluation.controller_set.BASELINES", kept)
-    arguments = ["bench", "--scenarios", "yielding", "--earthquakes", "2"]
+    arguments = ["benchmark", "--scenarios", "yielding", "--earthquakes", "2"]
     assert main([*arguments, "--results", str(tmp_path), "--page", str(page)]) == 0
     text = page.read_text()
     assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text

@@ -146,9 +146,9 @@ def test_tune_compare_and_evaluate_share_a_file_on_a_changed_table(tmp_path, cap
     file = str(tmp_path / "mine.json")
     table = ["--duration", "0.3", "--set", "actuator.table_mass=420"]
     search = ["--budget", "120", "--earthquakes", "1", "--storage", str(tmp_path / "t.db")]
-    assert main(["tune", "tvc", *table, *search, "--keep", file, "--json"]) == 0
+    assert main(["tune", "tvc", *table, *search, "--output", file, "--json"]) == 0
     tuned = json.loads(capsys.readouterr().out)["parameters"]
-    few = ["--noise", "2", "--no-records", "--json"]
+    few = ["--num-noise-motions", "2", "--no-records", "--json"]
     assert main(["compare", *table, "--controllers", "tvc", "--tuned", file, *few]) == 0
     values = json.loads(capsys.readouterr().out)["values"]
     assert values["tvc"]["source"] == "file" and values["tvc"]["parameters"] == tuned

@@ -137,7 +137,7 @@ def _markdown_table(table: tuple[list[str], Rows]) -> str:
 def markdown(results: dict[str, Any]) -> str:
     """Return every table of the validation as markdown."""
     motions, reduction = results["motions"], results["reduction"]
-    parts = ["# Tables of the transient validation\n", "Written by `shake validate`.\n"]
+    parts = ["# Tables of the transient validation\n", "Written by `shake validate-transients`.\n"]
     parts.append("## Ranges\n")
     rows = [
         [SHORT[r["quantity"]], f"{r['rated'] * r['factor']:.3g}", f"{r['limit'] * r['factor']:.3g}",

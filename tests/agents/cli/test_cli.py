@@ -37,7 +37,16 @@ def test_design_for_a_person_names_states_with_units(capsys):
 
 def test_compare_writes_what_it_prints(tmp_path, capsys):
     output = tmp_path / "out"
-    arguments = ["compare", "--no-records", "--noise", "3", "--duration", "3", "--output", str(output)]
+    arguments = [
+        "compare",
+        "--no-records",
+        "--num-noise-motions",
+        "3",
+        "--duration",
+        "3",
+        "--output",
+        str(output),
+    ]
     assert main([*arguments, "--json"]) == 0
     out, _ = capsys.readouterr()
     found = json.loads(out)
@@ -62,7 +71,16 @@ def test_compare_writes_what_it_prints(tmp_path, capsys):
 
 
 def test_compare_leaves_the_shipped_policy_out_where_it_does_not_fit(tmp_path, capsys):
-    arguments = ["compare", "--no-records", "--noise", "2", "--duration", "1", "--stories", "3"]
+    arguments = [
+        "compare",
+        "--no-records",
+        "--num-noise-motions",
+        "2",
+        "--duration",
+        "1",
+        "--stories",
+        "3",
+    ]
     assert main([*arguments, "--output", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert "Left out: the shipped policy" in out
@@ -76,8 +94,8 @@ def test_compare_leaves_the_shipped_policy_out_where_it_does_not_fit(tmp_path, c
         ("design --control-rate 300", "control_rate = 300.0: its period is 3.33333 physics steps"),
         ("design --scenario laboratry", "scenario = 'laboratry'"),
         ("compare --controllers absent.safetensors", "there is no such file"),
-        ("compare --no-records --noise 0", "noise = 0: ask for at least one earthquake"),
-        ("compare --noise -3", "noise = -3"),
+        ("compare --no-records --num-noise-motions 0", "noise = 0: ask for at least one earthquake"),
+        ("compare --num-noise-motions -3", "noise = -3"),
     ],
 )
 def test_a_mistake_is_one_line_on_standard_error_and_exit_code_2(arguments, message, capsys):

@@ -101,7 +101,7 @@ def test_a_reader_that_leaves_gets_no_traceback(words):
 
 
 @pytest.mark.parametrize(
-    "words", [["compare", "--tuned"], ["tune", "pid", "--keep"], ["tune", "pid", "--storage"]]
+    "words", [["compare", "--tuned"], ["tune", "pid", "--output"], ["tune", "pid", "--storage"]]
 )
 def test_pipes_and_devices_are_refused_at_the_door(words, tmp_path, capsys):
     os.mkfifo(tmp_path / "pipe")
@@ -231,8 +231,8 @@ def test_a_terminal_shows_at_once_that_a_command_works(monkeypatch):
 @pytest.mark.slow  # compiles the simulation, a minute
 def test_the_first_compilation_says_that_it_happens_once(tmp_path):
     began = time.monotonic()
-    words = [sys.executable, "-m", "agents", "compare", "--no-records", "--noise", "2", "--duration",
-             "1", "--controllers", "lqr", "--json"]  # fmt: skip
+    words = [sys.executable, "-m", "agents", "compare", "--no-records", "--num-noise-motions", "2",
+             "--duration", "1", "--controllers", "lqr", "--json"]  # fmt: skip
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     with subprocess.Popen(
         words, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
@@ -324,7 +324,7 @@ def test_the_usual_folder_is_numbered_and_a_given_one_never_overwritten(tmp_path
         "compare --output {}", "compare --report {}", "evaluate lqr --output {}/x.json",
         "robustness --output {}", "components --output {}", "validate --output {}",
         "reproduce --output {}", "export analytic {}/x.onnx", "watch --save {}/x.gif",
-        "tune pid --scenario laboratory --keep {}/x.json", "bench --results {}",
+        "tune pid --scenario laboratory --output {}/x.json", "benchmark --results {}",
         "recipe-search linear/ppo --storage {}/x.db",
     ],
 )  # fmt: skip
@@ -345,10 +345,10 @@ def test_unwritable_output_is_found_before_the_work_begins(words, tmp_path, monk
 def test_a_scenario_file_gives_the_scenario_again(tmp_path, capsys):
     changes = ["--set", "sensing.preview=0.2", "--set", "uncertainty.mass_ratio=[0.1,0.5]",
                "--stories", "3", "--set", "name=mine"]  # fmt: skip
-    assert main(["scenario", "--scenario", "laboratory", *changes, "--json"]) == 0
+    assert main(["show-scenario", "--scenario", "laboratory", *changes, "--json"]) == 0
     file = tmp_path / "mine.json"
     file.write_text(capsys.readouterr().out)
-    built = parse(["scenario", "--scenario", "laboratory", *changes]).scenario.build()
+    built = parse(["show-scenario", "--scenario", "laboratory", *changes]).scenario.build()
     assert built.name == "mine" and built.specimen.stories == 3
     assert make_scenario(file) == make_scenario(str(file)) == built
     assert parse(["design", "--scenario", str(file)]).scenario.build() == built
@@ -371,7 +371,7 @@ def test_a_trained_policy_does_not_depend_on_a_scenario_file(tmp_path):
     file = tmp_path / "mine.json"
     fields = scenario_fields(make_scenario("yielding"))
     file.write_text(json.dumps({"name": "yielding", "fields": fields}))
-    config = parse(["train", "--run", "x", "--config.scenario.scenario", str(file)]).config
+    config = parse(["train", "--run-dir", "x", "--config.scenario.scenario", str(file)]).config
     kept = TrainConfig(scenario=config.scenario.without_file())
     file.unlink()
     again = config_of(json.loads(json.dumps(kept.to_json())))

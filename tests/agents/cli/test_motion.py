@@ -141,7 +141,9 @@ def test_values_out_of_range_are_one_line(arguments, capsys, tmp_path):
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
-@pytest.mark.parametrize("which", [["--noise", "0"], ["--no-records", "--noise", "1"]])
+@pytest.mark.parametrize(
+    "which", [["--num-noise-motions", "0"], ["--no-records", "--num-noise-motions", "1"]]
+)
 def test_no_controller_is_judged_without_a_motion(which, capsys):
     assert main(["compare", "--amplitude", "0", "--controllers", "none", *which]) == 2
     assert "amplitude = 0.0: " in capsys.readouterr().err
@@ -150,7 +152,7 @@ def test_no_controller_is_judged_without_a_motion(which, capsys):
 def test_a_record_of_zeros_holds_no_motion(capsys, tmp_path):
     path = tmp_path / "zeros.csv"
     path.write_text("".join(f"{0.01 * i:.2f} 0.0\n" for i in range(200)))
-    compared = ["compare", "--motion", str(path), "--motion.units", "g", "--noise", "0"]
+    compared = ["compare", "--motion", str(path), "--motion.units", "g", "--num-noise-motions", "0"]
     for command in (["motion", str(path), "--units", "g"], compared):
         assert main(command) == 2
         assert "all zeros" in capsys.readouterr().err
@@ -196,7 +198,7 @@ def compare(capsys, tmp_path, *arguments):
 
 
 def test_compare_runs_every_channel_scaled_to_the_table(capsys, tmp_path):
-    found = compare(capsys, tmp_path, "--noise", "1", "--duration", "2", "--motion", CICLC)
+    found = compare(capsys, tmp_path, "--num-noise-motions", "1", "--duration", "2", "--motion", CICLC)
     by_group = {(row["controller"], row["group"]): row for row in found["summaries"]}
     assert set(by_group) == {(c, g) for c in ("lqr", "none") for g in ("motions", "filtered noise")}
     assert by_group["lqr", "motions"]["earthquakes"] == 3
@@ -206,7 +208,7 @@ def test_compare_runs_every_channel_scaled_to_the_table(capsys, tmp_path):
     names = [row["earthquake"] for row in found["episodes"]["lqr"]]
     assert names[:3] == [record.name for record in read_motion(CICLC)]
     assert found["traced"] == names[0]
-    plain = compare(capsys, tmp_path, "--noise", "0", "--no-scale", "--motion", CICLC)
+    plain = compare(capsys, tmp_path, "--num-noise-motions", "0", "--no-scale", "--motion", CICLC)
     for scaled, whole, record in zip(
         found["episodes"]["none"], plain["episodes"]["none"], read_motion(CICLC), strict=False
     ):
@@ -223,7 +225,7 @@ def test_compare_prints_the_scale_and_takes_several_files(capsys, tmp_path):
     from shake_env.records import write_record
 
     write_record(load_record(name), other)
-    arguments = ["compare", "--no-records", "--noise", "0", "--controllers", "lqr"]
+    arguments = ["compare", "--no-records", "--num-noise-motions", "0", "--controllers", "lqr"]
     arguments += ["--motion", str(CICLC), "--motion", str(other), "--output", str(tmp_path / "out")]
     assert main(arguments) == 0
     out = " ".join(capsys.readouterr().out.split())

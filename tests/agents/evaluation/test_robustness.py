@@ -232,9 +232,9 @@ def test_who_is_compared_unless_told_otherwise():
     [
         (["--controllers", "oracle"], "knows what is changed"),
         (["--controllers", "tf-iteration"], "repeats its tests"),
-        (["--quantities", "mas_ratio"], "mass_ratio"),
+        (["--perturb", "mas_ratio"], "mass_ratio"),
         (["--earthquakes", "0"], "at least 1"),
-        (["--all", "--quantities", "delay"], "contradicts --all"),
+        (["--all", "--perturb", "delay"], "contradicts --all"),
     ],
 )
 def test_mistakes_name_value_and_remedy(words, message, capsys):
@@ -249,7 +249,7 @@ def small(tmp_path_factory):
     """The command's result with a policy of a scenario that is too short to mean anything."""
     folder = tmp_path_factory.mktemp("robustness")
     words = ["robustness", "--controllers", "apg", "h-infinity", "--earthquakes", "2"]
-    words += ["--duration", "0.6", "--quantities", "coulomb_friction", "delay", "--output", str(folder)]
+    words += ["--duration", "0.6", "--perturb", "coulomb_friction", "delay", "--output", str(folder)]
     assert main(words) == 0
     return folder, read_robustness(folder / "robustness_linear.json")
 
@@ -351,7 +351,16 @@ def test_a_card_says_where_its_policy_fails(small, tmp_path):
 
 def test_a_report_shows_it(small, tmp_path, capsys):
     folder, result = small
-    words = ["compare", "--controllers", "none", "--noise", "2", "--no-records", "--duration", "5"]
+    words = [
+        "compare",
+        "--controllers",
+        "none",
+        "--num-noise-motions",
+        "2",
+        "--no-records",
+        "--duration",
+        "5",
+    ]
     file = str(folder / "robustness_linear.json")
     assert main([*words, "--report", str(tmp_path / "page"), "--json", "--robustness", file]) == 0
     page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
@@ -395,7 +404,7 @@ def test_all_runs_what_does_not_hold_any_more(tmp_path, monkeypatch, capsys):
 
 def test_one_json_object_on_standard_output(capsys):
     words = ["robustness", "--controllers", "none", "--earthquakes", "1", "--duration", "1"]
-    assert main([*words, "--quantities", "damping_ratio", "--json"]) == 0
+    assert main([*words, "--perturb", "damping_ratio", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     # A table that stands still has the error of the target itself, whatever the specimen.
     assert all(each["failures"]["none"] == 0 for each in found["points"])

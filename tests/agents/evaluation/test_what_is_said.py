@@ -19,7 +19,7 @@ SHORT = make_scenario("linear", {"duration": 0.4})
 @pytest.mark.parametrize(
     "arguments",
     [["compare", "--controllers"], ["robustness", "--controllers"], ["evaluate"],
-     ["bench", "--controllers"], ["bench", "--scenarios"]],
+     ["benchmark", "--controllers"], ["benchmark", "--scenarios"]],
 )  # fmt: skip
 def test_an_empty_list_of_names_is_refused(arguments, capsys):
     assert main([*arguments, "--json"]) == 2
@@ -54,7 +54,15 @@ def bench(monkeypatch, tmp_path):
     monkeypatch.setattr("agents.evaluation.benchmark.make_scenario", lambda name: SHORT)
 
     def run(*arguments):
-        fixed = ["bench", "--scenarios", "linear", "--controllers", "none", "--results", str(tmp_path)]
+        fixed = [
+            "benchmark",
+            "--scenarios",
+            "linear",
+            "--controllers",
+            "none",
+            "--results",
+            str(tmp_path),
+        ]
         return main([*fixed, *arguments])
 
     return run
@@ -67,8 +75,8 @@ def test_bench_runs_as_many_earthquakes_as_asked_or_says_so(bench, capsys, tmp_p
     assert "2 earthquakes" in capsys.readouterr().out.replace("\n", " ")
     assert bench("--earthquakes", "3") == 2
     err = capsys.readouterr().err
-    assert "2 earthquakes" in err and re.search(r"\b3\b", err) and "--again" in err
-    assert bench("--earthquakes", "3", "--again", "--json") == 0
+    assert "2 earthquakes" in err and re.search(r"\b3\b", err) and "--rerun" in err
+    assert bench("--earthquakes", "3", "--rerun", "--json") == 0
     assert json.loads(capsys.readouterr().out)["linear"]["rows"][0]["earthquakes"] == 3
     file = tmp_path / "bench_linear.json"
     file.write_text(file.read_text()[:100])
@@ -81,15 +89,15 @@ def test_bench_names_other_controllers_and_unknown_scenarios(bench, capsys):
     assert bench("--earthquakes", "2") == 0
     assert bench("--earthquakes", "2", "--controllers", "lqr") == 2
     err = capsys.readouterr().err
-    assert "none" in err and "lqr" in err and "--again" in err
-    assert main(["bench", "--scenarios", "linaer"]) == 2
+    assert "none" in err and "lqr" in err and "--rerun" in err
+    assert main(["benchmark", "--scenarios", "linaer"]) == 2
     assert "did you mean 'linear'" in capsys.readouterr().err
 
 
 def test_bench_writes_nothing_into_the_docs_unless_told(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("agents.evaluation.benchmark.make_scenario", lambda name: SHORT)
-    arguments = ["bench", "--scenarios", "linear", "--controllers", "none", "--earthquakes", "2"]
+    arguments = ["benchmark", "--scenarios", "linear", "--controllers", "none", "--earthquakes", "2"]
     assert main(arguments) == 0
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 

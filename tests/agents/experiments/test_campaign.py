@@ -26,10 +26,10 @@ from agents.training.run import go_on, resume, train
 from shake_env.errors import ParameterError, RunDirectoryError, ScenarioError
 
 SMALL = TrainConfig(
-    ppo=PPOOptions(tables=4, rollout_steps=16, batch_size=64, epochs=1),
-    hidden=(8,),
-    episode=0.2,
-    total_steps=8_192,
+    ppo=PPOOptions(n_envs=4, n_steps=16, batch_size=64, n_epochs=1),
+    net_arch=(8,),
+    episode_duration=0.2,
+    total_timesteps=8_192,
     evaluations=1,
     evaluation_earthquakes=1,
     checkpoint_interval=1e-9,
@@ -74,7 +74,7 @@ def test_an_interrupted_campaign_ends_as_if_it_had_not_been(campaigned, tmp_path
     )
     for one, two in zip((*whole.weights, *whole.biases), (*cut.weights, *cut.biases), strict=True):
         np.testing.assert_array_equal(one, two)
-    assert cut.card["command"] == "shake campaign --only linear/ppo"
+    assert cut.card["command"] == "shake run-experiments --experiments linear/ppo"
     assert cut.card["curve"][-1][0] == 8_192
     assert seen[0] > seen[-1] == 0.0
 
@@ -89,7 +89,7 @@ def test_a_run_that_fails_is_reported_and_stops_no_other(campaigned):
 def test_what_is_done_is_done_and_another_configuration_is_left_alone(campaigned):
     folder, _, _ = campaigned
     assert plan([GOOD], folder)[0].state == "done"
-    changed = Recipe(arena="linear", config=TrainConfig(total_steps=99), minutes=0.1, seeds=1)
+    changed = Recipe(arena="linear", config=TrainConfig(total_timesteps=99), minutes=0.1, seeds=1)
     tasks = plan([changed], folder)
     assert tasks[0].state == "foreign"
     campaign = Campaign(tasks)
@@ -176,7 +176,7 @@ def test_policies_cannot_take_a_controllers_name(campaigned):
 
 
 def test_a_worker_whose_campaign_is_gone_ends(tmp_path):
-    values = json.dumps(TrainConfig(**{**vars(SMALL), "total_steps": 100_000_000}).to_json())
+    values = json.dumps(TrainConfig(**{**vars(SMALL), "total_timesteps": 100_000_000}).to_json())
     code = (
         "import subprocess, sys\n"
         "p = subprocess.Popen([sys.executable, '-m', 'agents.experiments.worker', sys.argv[1], 'x'],"
@@ -206,7 +206,7 @@ def test_recipes_are_sound():
         trained = recipe.config.scenario
         assert replace(trained, set=tested.set) == tested
         assert trained.set[: len(tested.set)] == tested.set  # what differs in training is named behind
-        law = base_law(recipe.config.chosen.base, scenario)
+        law = base_law(recipe.config.chosen.base_controller, scenario)
         size = law.observation_size if isinstance(law, EstimatedLaw) else len(law)
         assert size == scenario.observation.size
     for arena in ARENAS:
@@ -224,7 +224,16 @@ def test_seeds_stay_below_those_of_evaluation():
 
 
 def test_the_plan_is_printed_with_minutes(tmp_path, capsys):
-    words = ["campaign", "--dry-run", "--folder", str(tmp_path), "--only", "linear/*", "--seeds", "2"]
+    words = [
+        "run-experiments",
+        "--dry-run",
+        "--folder",
+        str(tmp_path),
+        "--experiments",
+        "linear/*",
+        "--seeds",
+        "2",
+    ]
     assert main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert [row["runs"] for row in found["plan"]] == [2] * len(ALGORITHMS)

@@ -34,10 +34,10 @@ from baselines.lqr.sampled import lqr
 from shake_env.errors import ParameterError, RunDirectoryError, ScenarioError
 
 SMALL = TrainConfig(
-    ppo=PPOOptions(tables=4, rollout_steps=16, batch_size=32, epochs=1),
-    hidden=(8,),
-    episode=0.2,
-    total_steps=1_024,
+    ppo=PPOOptions(n_envs=4, n_steps=16, batch_size=32, n_epochs=1),
+    net_arch=(8,),
+    episode_duration=0.2,
+    total_timesteps=1_024,
     evaluations=8,
     evaluation_earthquakes=1,
     checkpoint_interval=1e-9,
@@ -78,12 +78,12 @@ def test_whatever_is_drawn_is_a_valid_run_and_the_recipe_is_among_it(recipe):
 def test_a_batch_divides_every_roll_out(tables, length, data):
     samples = tables * length
     parts = data.draw(st.sampled_from([n for n in range(1, 17) if samples % n == 0]))
-    options = PPOOptions(tables=tables, rollout_steps=length, batch_size=samples // parts)
+    options = PPOOptions(n_envs=tables, n_steps=length, batch_size=samples // parts)
     recipe = Recipe(arena="linear", config=TrainConfig(ppo=options), minutes=1.0)
     knobs = {knob.name: knob for knob in space(recipe)}
-    for steps in knobs["rollout_steps"].values:
+    for steps in knobs["n_steps"].values:
         for pieces in knobs["minibatches"].values:
-            config = trial_config(recipe, {"rollout_steps": steps, "minibatches": pieces}, 1.0)
+            config = trial_config(recipe, {"n_steps": steps, "minibatches": pieces}, 1.0)
             assert config.ppo.batch_size * pieces == tables * steps
     own = own_values(recipe)
     assert trial_config(recipe, {n: own[n] for n in knobs}, 1.0).ppo == options
@@ -95,13 +95,13 @@ def test_a_search_keeps_what_a_recipe_claims():
     assert "lqr" in suitable_laws(find_recipe("yielding/sac"))
     laws = suitable_laws(find_recipe("laboratory/apg"))
     assert "lqg-dac" in laws and not {"none", "flow", "lqr", "preview-lqr"} & set(laws)
-    assert "memory" in own_values(find_recipe("unknown-specimen/apg"))
-    assert "memory" not in own_values(find_recipe("linear/apg"))
+    assert "gru_hidden_size" in own_values(find_recipe("unknown-specimen/apg"))
+    assert "gru_hidden_size" not in own_values(find_recipe("linear/apg"))
 
 
 def test_ranges_widen_to_what_a_recipe_has():
     wide = replace(TINY, config=replace(SMALL, horizon=30.0))
-    knob = next(knob for knob in space(wide) if knob.name == "horizon")
+    knob = next(knob for knob in space(wide) if knob.name == "discount_horizon")
     assert knob.high == 30.0 and knob.low == 0.05
     with pytest.raises(ParameterError, match="low must lie below high"):
         Range(name="x", meaning="x [-]", low=0.0, high=1.0)
@@ -236,10 +236,10 @@ def test_a_storage_with_another_recipe_and_a_foreign_run_are_left_alone(tmp_path
     with pytest.raises(ParameterError, match="another --storage"):
         open_study(other, storage)
     config, knobs = json.loads(SEARCH.identity())
-    del config["episode"]
+    del config["episode_duration"]
     assert not SEARCH.same(json.dumps([config, knobs]))
     del config["threads"]  # as of a version before there was that option: its default is this search's
-    config["episode"] = 0.2
+    config["episode_duration"] = 0.2
     assert SEARCH.same(json.dumps([config, knobs]))
     run = tmp_path / SEARCH.name / "0"
     run.mkdir(parents=True)
@@ -272,7 +272,7 @@ def test_what_cannot_be_searched_is_named(changed, remedy):
 
 
 def test_a_share_that_ends_within_the_warm_up_is_named():
-    config = TrainConfig(algorithm="sac", sac=SACOptions(warmup_steps=20_000))
+    config = TrainConfig(algorithm="sac", sac=SACOptions(learning_starts=20_000))
     with pytest.raises(ParameterError, match=r"above 0\.08"):
         Search(recipe=Recipe(arena="linear", config=config, minutes=1.0), share=0.05)
 
@@ -287,12 +287,14 @@ def made(**changed):
     held = {"low": 0.9, "high": 1.1, "lost": 0, "ratio": 1.0, "seconds": 3_600.0, "code": "abc"}
     rows = [
         TrialRow(number=0, state="complete", values=own, cost=1.0, recipe=True, **held),
-        TrialRow(number=1, state="pruned", values={**own, "horizon": 1.5}, cost=None, ratio=4.0),
-        TrialRow(number=3, state="complete", values={**own, "authority": 0.4}, cost=0.8, **held),
+        TrialRow(
+            number=1, state="pruned", values={**own, "discount_horizon": 1.5}, cost=None, ratio=4.0
+        ),
+        TrialRow(number=3, state="complete", values={**own, "residual_scale": 0.4}, cost=0.8, **held),
         TrialRow(
             number=4,
             state="complete",
-            values={**own, "base": "lqr"},
+            values={**own, "base_controller": "lqr"},
             cost=50.0,
             **{**held, "lost": 3},
         ),
@@ -359,20 +361,20 @@ def test_the_command_goes_on_keeps_and_renews(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(recipes, "RECIPES", (TINY,))
     kept, page = tmp_path / "kept" / "recipe_linear_ppo.json", tmp_path / "page.md"
     page.write_text("<!-- recipe searches -->\n<!-- end recipe searches -->\n")
-    words = ["recipe-search", "linear/ppo", "--share", "0.5", "--earthquakes", "2", "--json"]
+    words = ["tune-training", "linear/ppo", "--step-fraction", "0.5", "--earthquakes", "2", "--json"]
     words += ["--storage", str(tmp_path / "r.db"), "--folder", str(tmp_path / "runs")]
     assert main([*words, "--trials", "1"]) == 0
     first = json.loads(capsys.readouterr().out)
     assert main([*words, "--trials", "2"]) == 0
     second = json.loads(capsys.readouterr().out)
     assert second["trials"][0] == first["trials"][0] and len(second["trials"]) == 2
-    words += ["--trials", "0", "--keep", str(kept), "--page", str(page), "--results", str(kept.parent)]
+    words += ["--trials", "0", "--output", str(kept), "--page", str(page), "--results", str(kept.parent)]
     assert main(words) == 0
     assert json.loads(capsys.readouterr().out) == second
     assert read_trace(kept).to_json() == second
     assert "### linear/ppo" in page.read_text()
     assert (tmp_path / "figures" / "recipe_linear_ppo.png").is_file()
-    assert main(["recipe-search", "linear/pop"]) == 2
+    assert main(["tune-training", "linear/pop"]) == 2
     assert "linear/ppo" in capsys.readouterr().err
     with pytest.raises(ScenarioError):
         find_recipe("linear/sac")

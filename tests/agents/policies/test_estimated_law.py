@@ -91,9 +91,9 @@ def corrected(
     env = ShakeTableVecEnv(scenario, lanes, base=law, authority=authority, reward_scale=0.01)
     config = TrainConfig(
         algorithm=algorithm or "apg",
-        hidden=(16,),
-        apg=APGOptions(tables=lanes, window=12, memory=memory, scale_free=False),
-        ppo=PPOOptions(tables=lanes, rollout_steps=8, batch_size=lanes * 8, scale_free=False),
+        net_arch=(16,),
+        apg=APGOptions(n_envs=lanes, rollout_horizon=12, gru_hidden_size=memory, actor_bias=True),
+        ppo=PPOOptions(n_envs=lanes, n_steps=8, batch_size=lanes * 8, actor_bias=True),
     )
     model = new_model(config, scenario, env)
     env.seed(0)

@@ -145,9 +145,9 @@ def test_tune_searches_it_and_compare_takes_the_file(file, tmp_path, capsys):
     assert found.trials == 6 and 0.2 <= found.parameters["share"] <= 2.0
     arguments = ["--duration", "0.4", "--json"]
     search = ["--budget", "240", "--earthquakes", "1", "--storage", str(tmp_path / "b.db")]
-    assert main(["tune", name, *search, "--keep", kept, *arguments]) == 0
+    assert main(["tune", name, *search, "--output", kept, *arguments]) == 0
     share = json.loads(capsys.readouterr().out)["parameters"]
-    few = ["--noise", "2", "--no-records", "--tuned", kept]
+    few = ["--num-noise-motions", "2", "--no-records", "--tuned", kept]
     assert main(["compare", "--controllers", name, *few, *arguments]) == 0
     assert json.loads(capsys.readouterr().out)["values"][name]["parameters"] == share
 
@@ -164,11 +164,20 @@ def test_a_search_of_other_code_begins_anew(file, tmp_path):
 def test_bench_and_robustness_run_it(file, tmp_path, monkeypatch, capsys):
     name = f"{file}:Scaled"
     monkeypatch.setattr("agents.evaluation.benchmark.make_scenario", lambda scenario: SHORT)
-    arguments = ["bench", "--scenarios", "linear", "--earthquakes", "2", "--controllers", name, "none"]
+    arguments = [
+        "benchmark",
+        "--scenarios",
+        "linear",
+        "--earthquakes",
+        "2",
+        "--controllers",
+        name,
+        "none",
+    ]
     assert main([*arguments, "--results", str(tmp_path / "bench"), "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["linear"]["rows"]
     assert {row["controller"] for row in rows} == {"lqr", name, "none"}
-    arguments = ["robustness", "--duration", "0.4", "--controllers", name, "--quantities", "mass_ratio"]
+    arguments = ["robustness", "--duration", "0.4", "--controllers", name, "--perturb", "mass_ratio"]
     assert main([*arguments, "--no-maps", "--earthquakes", "1", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert name in result["points"][0]["cost"] and result["values"][name]["source"] == "rule"

@@ -39,11 +39,11 @@ from shake_env.rollout import noise_earthquakes, recorded_earthquakes, rollout
 def test_a_file_gives_the_action_that_sb3_gives(algorithm, friction, tmp_path):
     config = TrainConfig(
         algorithm=algorithm,
-        ppo=PPOOptions(tables=2, rollout_steps=8, batch_size=16),
-        sac=SACOptions(tables=2, buffer_size=100),
-        td3=TD3Options(tables=2, buffer_size=100),
-        tqc=TQCOptions(tables=2, buffer_size=100),
-        apg=APGOptions(tables=2),
+        ppo=PPOOptions(n_envs=2, n_steps=8, batch_size=16),
+        sac=SACOptions(n_envs=2, buffer_size=100),
+        td3=TD3Options(n_envs=2, buffer_size=100),
+        tqc=TQCOptions(n_envs=2, buffer_size=100),
+        apg=APGOptions(n_envs=2),
     )
     scenario = make_scenario("linear", {"fields": {"nonlinearity.friction.coulomb": friction}})
     env = ShakeTableVecEnv(scenario, 2, base=base_row("flow", scenario), authority=0.25)
@@ -70,7 +70,7 @@ def test_a_file_gives_the_action_that_sb3_gives(algorithm, friction, tmp_path):
 def test_a_file_with_a_memory_gives_the_action_that_sb3_gives(name, tmp_path):
     scenario = make_scenario(name)
     env = ShakeTableVecEnv(scenario, 2)
-    options = APGOptions(tables=2, memory=16)
+    options = APGOptions(n_envs=2, gru_hidden_size=16)
     model = new_model(TrainConfig(algorithm="apg", apg=options), scenario, env)
     for parameter in model.policy.parameters():
         parameter.data.mul_(1.5)
@@ -95,7 +95,7 @@ def test_a_file_with_a_memory_gives_the_action_that_sb3_gives(name, tmp_path):
 def test_a_file_with_an_lstm_gives_the_action_that_sb3_contrib_gives(name, tmp_path):
     scenario = make_scenario(name)
     env = ShakeTableVecEnv(scenario, 2)
-    options = RecurrentPPOOptions(tables=2, rollout_steps=8, batch_size=16, units=16)
+    options = RecurrentPPOOptions(n_envs=2, n_steps=8, batch_size=16, lstm_hidden_size=16)
     config = TrainConfig(algorithm="recurrent-ppo", recurrent_ppo=options)
     model = new_model(config, scenario, env)
     for parameter in model.policy.parameters():

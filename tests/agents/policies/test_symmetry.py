@@ -60,17 +60,19 @@ def test_a_memory_is_refused():
         mirror_averaged(load_policy(shipped_policy("apg", "unknown-specimen")))
     for options in (
         {"algorithm": "recurrent-ppo"},
-        {"algorithm": "apg", "apg": APGOptions(memory=4)},
+        {"algorithm": "apg", "apg": APGOptions(gru_hidden_size=4)},
     ):
-        with pytest.raises(ParameterError, match="mirrored"):
-            TrainConfig(mirrored=True, **options)
+        with pytest.raises(ParameterError, match="odd_symmetry"):
+            TrainConfig(odd_symmetry=True, **options)
 
 
 def test_a_run_keeps_the_average_and_trains_as_without(tmp_path):
-    ppo = PPOOptions(tables=4, rollout_steps=16, batch_size=64, scale_free=False)
-    config = TrainConfig(ppo=ppo, total_steps=128, evaluations=1, evaluation_earthquakes=2, episode=2.0)
+    ppo = PPOOptions(n_envs=4, n_steps=16, batch_size=64, actor_bias=True)
+    config = TrainConfig(
+        ppo=ppo, total_timesteps=128, evaluations=1, evaluation_earthquakes=2, episode_duration=2.0
+    )
     for name, mirrored in (("plain", False), ("mirrored", True)):
-        train(replace(config, mirrored=mirrored), tmp_path / name)
+        train(replace(config, odd_symmetry=mirrored), tmp_path / name)
     tables = training_tables(config, config.scenario.build())
     plain, mirrored = (
         load_checkpoint(tmp_path / name, config, tables) for name in ("plain", "mirrored")

@@ -34,7 +34,14 @@ def evaluated(tmp_path_factory):
 
 def test_a_card_repeats_its_sources(evaluated, capsys):
     folder, file, result = evaluated
-    words = ["card", str(file), "--result", str(folder / "result.json"), "--limits", "Not for sale."]
+    words = [
+        "model-card",
+        str(file),
+        "--result",
+        str(folder / "result.json"),
+        "--limits",
+        "Not for sale.",
+    ]
     assert main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["files"] == [str(folder / "mine.md"), str(folder / "mine.png")]

@@ -387,7 +387,7 @@ def test_the_command_writes_the_report_it_names(tmp_path, capsys):
     arguments = [
         "compare",
         "--no-records",
-        "--noise",
+        "--num-noise-motions",
         "2",
         "--duration",
         "2",

@@ -277,7 +277,7 @@ def run(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         lines = []
         patch.setattr("builtins.print", lambda *a, **k: lines.append(a[0]))
-        assert main(["components", "--json", "--output", str(folder)]) == 0
+        assert main(["plot-components", "--json", "--output", str(folder)]) == 0
     (line,) = lines
     return folder, json.loads(line)
 
@@ -296,10 +296,10 @@ def test_command_prints_one_object_and_writes_the_figures(run):
 
 def test_help_teaches_by_example(capsys):
     with pytest.raises(SystemExit) as stop:
-        main(["components", "--help"])
+        main(["plot-components", "--help"])
     assert stop.value.code == 0
     out = capsys.readouterr().out
-    assert "shake components --output" in out and "--json" in out
+    assert "shake plot-components --output" in out and "--json" in out
 
 
 def test_page_holds_the_numbers_that_are_computed(run):

@@ -313,7 +313,7 @@ def test_page_has_the_reduction_that_is_computed():
                 assert rows[table, f"{row['order']} states"][2:] == [
                     f"{row[key]:.1e}" for key in ("bound", "error_cut", "error_settled")
                 ]
-    assert "shake validate" in text
+    assert "shake validate-transients" in text
 
 
 def test_page_has_the_peaks_of_one_record_under_the_continuous_controller():

@@ -43,7 +43,9 @@ def test_spectra_differ_in_where_their_power_lies():
 
 
 def test_every_other_episode_is_artificial():
-    config = TrainConfig(scenario=ScenarioOptions("laboratory"), artificial=5, episode=4.0, seed=3)
+    config = TrainConfig(
+        scenario=ScenarioOptions("laboratory"), num_artificial_motions=5, episode_duration=4.0, seed=3
+    )
     motion = training_scenario(config, config.scenario.build()).motion
     assert isinstance(motion, MotionSet)
     drawn = [motion.pick(np.random.default_rng(i)) for i in range(400)]

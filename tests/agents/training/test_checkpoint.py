@@ -30,10 +30,10 @@ from shake_env.scenario.overrides import make_scenario
 
 CONFIG = TrainConfig(
     scenario=ScenarioOptions(set=("objective.force_weight=1.5",)),
-    ppo=PPOOptions(tables=2, rollout_steps=32, batch_size=64, epochs=1),
-    hidden=(8,),
-    episode=0.2,
-    total_steps=192,
+    ppo=PPOOptions(n_envs=2, n_steps=32, batch_size=64, n_epochs=1),
+    net_arch=(8,),
+    episode_duration=0.2,
+    total_timesteps=192,
     evaluations=3,
     evaluation_earthquakes=1,
     checkpoint_interval=1e-9,
@@ -161,7 +161,7 @@ def test_what_does_not_fit_is_refused_before_it_is_used(cut, change):
 
 
 def test_a_checkpoint_of_other_tables_is_refused(cut):
-    other = replace(CONFIG, ppo=replace(CONFIG.ppo, tables=4, rollout_steps=16))
+    other = replace(CONFIG, ppo=replace(CONFIG.ppo, n_envs=4, n_steps=16))
     with pytest.raises(RunDirectoryError, match="no readable checkpoint"):
         load_checkpoint(cut, other, training_tables(other, other.scenario.build()))
 
@@ -201,7 +201,7 @@ def test_nothing_that_a_person_put_there_is_deleted(cut):
 
 
 def test_a_run_that_was_killed_as_it_began_begins_or_goes_on(trained, tmp_path):
-    short = replace(CONFIG, total_steps=64)
+    short = replace(CONFIG, total_timesteps=64)
     (tmp_path / "a").mkdir()  # killed just after mkdir
     train(short, tmp_path / "a")
     for again in (lambda run: train(short, run), resume, lambda run: go_on(short, run)):
@@ -213,9 +213,17 @@ def test_a_run_that_was_killed_as_it_began_begins_or_goes_on(trained, tmp_path):
         assert evaluations(run) == evaluations(tmp_path / "a") and finished(run)
         shutil.rmtree(run)
     (tmp_path / "c").mkdir()
-    words = ["train", "--run", str(tmp_path / "c"), "--resume", "--json", "--config.total-steps", "64"]
-    words += ["--config.ppo.tables", "2", "--config.ppo.rollout-steps", "32", "--config.ppo.batch-size"]
-    words += ["64", "--config.evaluation-earthquakes", "1", "--config.episode", "0.2"]
+    words = [
+        "train",
+        "--run-dir",
+        str(tmp_path / "c"),
+        "--resume",
+        "--json",
+        "--config.total-timesteps",
+        "64",
+    ]
+    words += ["--config.ppo.n-envs", "2", "--config.ppo.n-steps", "32", "--config.ppo.batch-size"]
+    words += ["64", "--config.evaluation-earthquakes", "1", "--config.episode-duration", "0.2"]
     assert main(words) == 0
     assert finished(tmp_path / "c")
 
@@ -258,11 +266,11 @@ def test_half_an_evaluation_changes_no_result(cut, trained):
 
 
 def test_options_that_differ_from_the_runs_own_are_refused_by_name(cut, capsys):
-    words = ["train", "--run", str(cut), "--resume", "--json"]
+    words = ["train", "--run-dir", str(cut), "--resume", "--json"]
     for given, reason in (
         (["--config.seed", "4"], "seed is 0, given 4"),
-        (["--config.total-steps", "4000000"], "total_steps is 192, given 4000000"),
-        (["--config.ppo.tables", "64"], "ppo.tables is 2, given 64"),  # the default, but given
+        (["--config.total-timesteps", "4000000"], "total_timesteps is 192, given 4000000"),
+        (["--config.ppo.n-envs", "64"], "ppo.n_envs is 2, given 64"),  # the default, but given
         (["--config.scenario.set", "objective.force_weight=2"], "scenario.set"),
     ):
         assert main([*words, *given]) == 2

@@ -36,10 +36,11 @@ def test_every_algorithm_writes_what_tensorboard_shows(algorithm, tmp_path):
     config = TrainConfig(
         algorithm=algorithm,
         scenario=ScenarioOptions("yielding") if algorithm == "ppo" else ScenarioOptions(),
-        ppo=PPOOptions(tables=4, rollout_steps=16, batch_size=64, epochs=1),
-        sac=SACOptions(tables=32, batch_size=32, gradient_steps=1, buffer_size=1000, warmup_steps=32),
-        apg=APGOptions(tables=4, window=8),
-        hidden=(8,), episode=0.2, total_steps=128, evaluations=1000, evaluation_earthquakes=2,
+        ppo=PPOOptions(n_envs=4, n_steps=16, batch_size=64, n_epochs=1),
+        sac=SACOptions(n_envs=32, batch_size=32, gradient_steps=1, buffer_size=1000, learning_starts=32),
+        apg=APGOptions(n_envs=4, rollout_horizon=8),
+        net_arch=(8,), episode_duration=0.2, total_timesteps=128, evaluations=1000,
+        evaluation_earthquakes=2,
     )  # fmt: skip
     seen = []
     result = train(config, tmp_path / "run", report=seen.append)

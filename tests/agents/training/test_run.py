@@ -29,17 +29,24 @@ def small(algorithm, memory=0, **changes):
     """A run of a few seconds that checkpoints between any two roll-outs."""
     return TrainConfig(
         algorithm=algorithm,
-        ppo=PPOOptions(tables=4, rollout_steps=32, batch_size=64, epochs=2),
-        sac=SACOptions(tables=4, batch_size=32, gradient_steps=1, buffer_size=2000, warmup_steps=64),
-        td3=TD3Options(tables=4, batch_size=32, gradient_steps=3, buffer_size=400, warmup_steps=64),
+        ppo=PPOOptions(n_envs=4, n_steps=32, batch_size=64, n_epochs=2),
+        sac=SACOptions(n_envs=4, batch_size=32, gradient_steps=1, buffer_size=2000, learning_starts=64),
+        td3=TD3Options(n_envs=4, batch_size=32, gradient_steps=3, buffer_size=400, learning_starts=64),
         tqc=TQCOptions(
-            tables=4, batch_size=32, gradient_steps=1, buffer_size=2000, warmup_steps=64, quantiles=5
+            n_envs=4,
+            batch_size=32,
+            gradient_steps=1,
+            buffer_size=2000,
+            learning_starts=64,
+            n_quantiles=5,
         ),
-        recurrent_ppo=RecurrentPPOOptions(tables=4, rollout_steps=32, batch_size=64, epochs=2, units=8),
-        apg=APGOptions(tables=4, window=16, memory=memory, terminal_value=True),
-        hidden=(16,),
-        episode=0.2,
-        total_steps=512,
+        recurrent_ppo=RecurrentPPOOptions(
+            n_envs=4, n_steps=32, batch_size=64, n_epochs=2, lstm_hidden_size=8
+        ),
+        apg=APGOptions(n_envs=4, rollout_horizon=16, gru_hidden_size=memory, terminal_value=True),
+        net_arch=(16,),
+        episode_duration=0.2,
+        total_timesteps=512,
         evaluations=1,
         evaluation_earthquakes=2,
         checkpoint_interval=1e-9,
@@ -57,7 +64,7 @@ def small(algorithm, memory=0, **changes):
         ("recurrent-ppo", {"scenario": ScenarioOptions("unknown-specimen")}),
         ("apg", {}),
         ("apg", {"memory": 8, "scenario": ScenarioOptions("unknown-specimen")}),
-        ("apg", {"artificial": 3, "scenario": ScenarioOptions("laboratory")}),
+        ("apg", {"num_artificial_motions": 3, "scenario": ScenarioOptions("laboratory")}),
     ],
     ids=str,
 )
@@ -94,10 +101,11 @@ def test_a_damaged_newest_checkpoint_falls_back_to_the_one_before(tmp_path):
 def test_a_killed_process_leaves_a_run_that_resumes(tmp_path):
     run = tmp_path / "run"
     command = [
-        sys.executable, "-m", "agents", "train", "--run", str(run), "--config.total-steps", "100000000",
-        "--config.ppo.tables", "4", "--config.ppo.rollout-steps", "16", "--config.ppo.batch-size", "64",
-        "--config.ppo.epochs", "1", "--config.checkpoint-interval", "0.001",
-        "--config.evaluation-earthquakes", "1", "--config.episode", "0.2",
+        sys.executable, "-m", "agents", "train", "--run-dir", str(run),
+        "--config.total-timesteps", "100000000",
+        "--config.ppo.n-envs", "4", "--config.ppo.n-steps", "16", "--config.ppo.batch-size", "64",
+        "--config.ppo.n-epochs", "1", "--config.checkpoint-interval", "0.001",
+        "--config.evaluation-earthquakes", "1", "--config.episode-duration", "0.2",
     ]  # fmt: skip
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 120.0
@@ -107,9 +115,9 @@ def test_a_killed_process_leaves_a_run_that_resumes(tmp_path):
     process.wait()
     assert len(checkpoints(run)) >= 1
     config = json.loads((run / "config.json").read_text())
-    config["total_steps"] = checkpoint_steps(checkpoints(run)[-1]) + 256
+    config["total_timesteps"] = checkpoint_steps(checkpoints(run)[-1]) + 256
     (run / "config.json").write_text(json.dumps(config))
-    assert resume(run).steps >= config["total_steps"]
+    assert resume(run).steps >= config["total_timesteps"]
 
 
 def test_a_run_directory_that_holds_something_is_refused_with_what_it_holds(tmp_path):
@@ -142,29 +150,33 @@ def test_the_configuration_survives_its_file(tmp_path):
 @pytest.mark.parametrize(
     "bad",
     [
-        {"total_steps": -5},
-        {"horizon": -1.0},
+        {"total_timesteps": -5},
+        {"discount_horizon": -1.0},
         {"seed": -1},
-        {"hidden": ()},
-        {"ppo": PPOOptions(tables=64, epochs=0)},
-        {"tqc": TQCOptions(dropped=25)},
-        {"apg": APGOptions(warmup=1.0)},
-        {"ppo": PPOOptions(critic_first=1.0)},
+        {"net_arch": ()},
+        {"ppo": PPOOptions(n_envs=64, n_epochs=0)},
+        {"tqc": TQCOptions(top_quantiles_to_drop_per_net=25)},
+        {"apg": APGOptions(lr_warmup_fraction=1.0)},
+        {"ppo": PPOOptions(critic_warmup_fraction=1.0)},
     ],
 )
 def test_bad_options_are_named(bad):
-    name = {"ppo": "epochs|critic_first", "tqc": "dropped", "apg": "warmup"}
+    name = {
+        "ppo": "n_epochs|critic_warmup_fraction",
+        "tqc": "top_quantiles",
+        "apg": "lr_warmup_fraction",
+    }
     with pytest.raises(ParameterError, match=name.get(key := next(iter(bad)), key)):
         TrainConfig(**bad)
 
 
 def test_a_batch_that_does_not_divide_the_rollout_is_refused():
     with pytest.raises(ParameterError, match=r"batch_size = 2048: must divide the 100 samples"):
-        TrainConfig(ppo=PPOOptions(tables=10, rollout_steps=10))
+        TrainConfig(ppo=PPOOptions(n_envs=10, n_steps=10))
 
 
 def test_the_discount_comes_from_a_horizon_in_seconds():
-    config = TrainConfig(horizon=0.25)
+    config = TrainConfig(discount_horizon=0.25)
     assert config.discount(0.005) == pytest.approx(0.980199, abs=1e-6)
     assert config.discount(0.001) ** 5 == pytest.approx(config.discount(0.005))
 

@@ -29,7 +29,9 @@ from agents.training.warm_start import begin_with
 from shake_env.errors import PolicyFileError
 
 FRICTION = ScenarioOptions(set=("nonlinearity.friction.coulomb=300",))
-FREE = APGOptions(tables=2, base="lqg-searched", authority=0.1, memory=64, scale_free=False)
+FREE = APGOptions(
+    n_envs=2, base_controller="lqg-searched", residual_scale=0.1, gru_hidden_size=64, actor_bias=True
+)
 
 
 def model_of(config, direct=False):
@@ -44,7 +46,7 @@ def policy_of(config):
     policy = export_policy(model, env, {})
     moved = tuple(w + 0.05 * generator.normal(size=w.shape).astype(np.float32) for w in policy.weights)
     kept = replace(policy, weights=moved)
-    return mirror_averaged(kept) if config.mirrored else kept
+    return mirror_averaged(kept) if config.odd_symmetry else kept
 
 
 @pytest.mark.parametrize(
@@ -52,29 +54,30 @@ def policy_of(config):
     [
         (TrainConfig(algorithm="apg"), TrainConfig()),
         (TrainConfig(), TrainConfig(algorithm="apg")),
-        (TrainConfig(mirrored=True), TrainConfig(hidden=(128, 128))),
-        (TrainConfig(mirrored=True), TrainConfig(algorithm="apg", hidden=(128, 128))),
+        (TrainConfig(odd_symmetry=True), TrainConfig(net_arch=(128, 128))),
+        (TrainConfig(odd_symmetry=True), TrainConfig(algorithm="apg", net_arch=(128, 128))),
         (
             TrainConfig(algorithm="apg", scenario=FRICTION),
-            TrainConfig(scenario=FRICTION, ppo=PPOOptions(scale_free=False)),
+            TrainConfig(scenario=FRICTION, ppo=PPOOptions(actor_bias=True)),
         ),
-        (TrainConfig(algorithm="sac"), TrainConfig(algorithm="td3", td3=TD3Options(authority=0.5))),
+        (TrainConfig(algorithm="sac"), TrainConfig(algorithm="td3", td3=TD3Options(residual_scale=0.5))),
         (TrainConfig(algorithm="td3"), TrainConfig(algorithm="tqc")),
         (
-            TrainConfig(algorithm="apg", apg=APGOptions(memory=8), scenario=FRICTION),
-            TrainConfig(algorithm="apg", apg=APGOptions(memory=8), scenario=FRICTION),
+            TrainConfig(algorithm="apg", apg=APGOptions(gru_hidden_size=8), scenario=FRICTION),
+            TrainConfig(algorithm="apg", apg=APGOptions(gru_hidden_size=8), scenario=FRICTION),
         ),
         (
             TrainConfig(algorithm="recurrent-ppo", scenario=FRICTION),
             TrainConfig(algorithm="recurrent-ppo", scenario=FRICTION),
         ),
     ],
-    ids=lambda config: f"{config.algorithm}{'-mirrored' * config.mirrored}",
+    ids=lambda config: f"{config.algorithm}{'-mirrored' * config.odd_symmetry}",
 )
 def test_a_model_acts_as_the_policy_that_it_begins_with(giver, taker):
     policy = policy_of(giver)
     taker = replace(
-        taker, **{taker.algorithm.replace("-", "_"): replace(taker.chosen, authority=policy.authority)}
+        taker,
+        **{taker.algorithm.replace("-", "_"): replace(taker.chosen, residual_scale=policy.authority)},
     )
     model, env = model_of(taker, direct=policy.direct)
     begin_with(model, env, policy)
@@ -100,16 +103,19 @@ def test_a_correction_behind_an_estimator_goes_on():
 
 
 def tiny(critic_first=0.0, **changes):
-    ppo = PPOOptions(tables=4, rollout_steps=32, batch_size=64, epochs=2, critic_first=critic_first)
+    ppo = PPOOptions(
+        n_envs=4, n_steps=32, batch_size=64, n_epochs=2, critic_warmup_fraction=critic_first
+    )
     return TrainConfig(
-        ppo=ppo, apg=APGOptions(tables=4, window=16), hidden=(16,), episode=0.2,
-        total_steps=512, evaluations=2, evaluation_earthquakes=2, checkpoint_interval=1e-9, **changes,
+        ppo=ppo, apg=APGOptions(n_envs=4, rollout_horizon=16), net_arch=(16,), episode_duration=0.2,
+        total_timesteps=512, evaluations=2, evaluation_earthquakes=2, checkpoint_interval=1e-9,
+        **changes,
     )  # fmt: skip
 
 
 def test_a_run_begins_where_its_policy_stands_and_says_so(tmp_path):
     first = train(tiny(algorithm="apg"), tmp_path / "first")
-    config = tiny(start=str(tmp_path / "first"), critic_first=0.3)
+    config = tiny(init_policy=str(tmp_path / "first"), critic_first=0.3)
     train(config, tmp_path / "second")
     begun = dict(learning_curve(str(tmp_path / "second")))[0]
     assert begun == pytest.approx(first.cost_ratio, rel=1e-6)
@@ -140,15 +146,22 @@ def test_a_run_begins_where_its_policy_stands_and_says_so(tmp_path):
     [
         (TrainConfig(scenario=ScenarioOptions(stories=5)), "features"),
         (TrainConfig(scenario=ScenarioOptions("laboratory")), "features"),
-        (TrainConfig(ppo=PPOOptions(base="lqr")), "law"),
-        (TrainConfig(ppo=PPOOptions(authority=0.5)), "authority"),
-        (TrainConfig(hidden=(32, 64)), r"layers.*64 64.*--config.hidden 64 64"),
-        (TrainConfig(hidden=(64,)), "layers"),
-        (TrainConfig(algorithm="sac", sac=SACOptions(base="none", authority=1.0)), "output"),
-        (TrainConfig(algorithm="tqc", tqc=TQCOptions(base="none", authority=1.0)), "output"),
+        (TrainConfig(ppo=PPOOptions(base_controller="lqr")), "law"),
+        (TrainConfig(ppo=PPOOptions(residual_scale=0.5)), "authority"),
+        (TrainConfig(net_arch=(32, 64)), r"layers.*64 64.*--config.net-arch 64 64"),
+        (TrainConfig(net_arch=(64,)), "layers"),
+        (
+            TrainConfig(algorithm="sac", sac=SACOptions(base_controller="none", residual_scale=1.0)),
+            "output",
+        ),
+        (
+            TrainConfig(algorithm="tqc", tqc=TQCOptions(base_controller="none", residual_scale=1.0)),
+            "output",
+        ),
         (
             TrainConfig(
-                algorithm="recurrent-ppo", recurrent_ppo=RecurrentPPOOptions(base="none", authority=1.0)
+                algorithm="recurrent-ppo",
+                recurrent_ppo=RecurrentPPOOptions(base_controller="none", residual_scale=1.0),
             ),
             "memory",
         ),
@@ -169,14 +182,14 @@ def test_a_direct_path_and_biases_need_their_place():
     direct = policy_of(TrainConfig(algorithm="apg"))
     with pytest.raises(PolicyFileError, match="direct path"):
         begin_with(*model_of(TrainConfig()), direct)
-    biased = policy_of(TrainConfig(ppo=PPOOptions(scale_free=False)))
+    biased = policy_of(TrainConfig(ppo=PPOOptions(actor_bias=True)))
     biased.biases[0][:] = 0.1
     with pytest.raises(PolicyFileError, match=r"biases.*no-scale-free"):
         begin_with(*model_of(TrainConfig()), biased)
 
 
 def test_a_run_that_cannot_begin_makes_no_directory(tmp_path):
-    config = TrainConfig(start=str(tmp_path / "nothing.safetensors"))
+    config = TrainConfig(init_policy=str(tmp_path / "nothing.safetensors"))
     with pytest.raises(PolicyFileError, match="no such file"):
         train(config, tmp_path / "run")
     assert not (tmp_path / "run").exists()
@@ -200,7 +213,7 @@ class Copies(BaseCallback):
 @pytest.mark.parametrize("scale_free", [True, False])
 def test_the_critic_learns_first(scale_free):
     config = tiny(critic_first=0.5)
-    config = replace(config, ppo=replace(config.ppo, scale_free=scale_free))
+    config = replace(config, ppo=replace(config.ppo, actor_bias=not scale_free))
     model, _ = model_of(config)
     copies = Copies()
     model.learn(512, callback=copies)  # four roll-outs of 128

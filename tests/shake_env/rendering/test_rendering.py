@@ -357,7 +357,7 @@ def test_an_env_that_shows_nothing_imports_nothing_to_draw_with():
 @pytest.mark.parametrize("suffix", sorted(FILMS))
 def test_watch_saves_a_film_in_real_time(tmp_path, capsys, suffix):
     file = tmp_path / f"film{suffix}"
-    arguments = ["watch", "--seconds", "1", "--seed", "3", "--save", str(file), "--json"]
+    arguments = ["play", "--seconds", "1", "--seed", "3", "--save", str(file), "--json"]
     assert main(arguments) == 0
     out = json.loads(capsys.readouterr().out)
     assert out["frames"] == FILMS[suffix] + 1 and out["seconds"] == pytest.approx(1.0)
@@ -377,7 +377,7 @@ def test_watch_saves_a_film_in_real_time(tmp_path, capsys, suffix):
 
 def test_slow_motion_has_more_frames_and_not_more_time(tmp_path, capsys):
     file = tmp_path / "slow.gif"
-    arguments = ["watch", "--seconds", "0.1", "--slow-motion", "20", "--save", str(file), "--json"]
+    arguments = ["play", "--seconds", "0.1", "--slow-motion", "20", "--save", str(file), "--json"]
     assert main(arguments) == 0
     out = json.loads(capsys.readouterr().out)
     assert (out["frames"], out["seconds"]) == (51, pytest.approx(0.1))
@@ -410,7 +410,7 @@ def test_watch_says_where_no_window_can_be_seen():
     ids=str,
 )
 def test_watch_refuses_what_it_does_not_know(arguments, capsys):
-    assert main(["watch", *arguments]) == 2
+    assert main(["play", *arguments]) == 2
     assert arguments[1] in capsys.readouterr().err
 
 

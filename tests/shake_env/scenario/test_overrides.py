@@ -187,7 +187,10 @@ def test_scenario_command_prints_every_field(capsys):
 
     from agents.__main__ import main
 
-    assert main(["scenario", "--scenario", "laboratory", "--set", "sensing.preview=0.2", "--json"]) == 0
+    assert (
+        main(["show-scenario", "--scenario", "laboratory", "--set", "sensing.preview=0.2", "--json"])
+        == 0
+    )
     shown = json.loads(capsys.readouterr().out)
     assert shown["fields"]["nonlinearity.friction.coulomb"] == 150.0
     assert shown["fields"]["sensing.preview"] == 0.2
@@ -208,7 +211,7 @@ def test_the_noise_of_a_limited_table_does_not_scale_its_records():
 
 
 def test_validation_takes_the_linear_part_of_any_scenario():
-    from agents.cli.validate import linear_part
+    from agents.cli.validate_transients import linear_part
     from baselines.lqr.sampled import lqr, sampled_lqr
 
     for name in ("laboratory", "unknown-specimen", "yielding"):
@@ -231,10 +234,19 @@ def test_compare_reports_how_often_a_supervisor_acted(tmp_path, capsys):
     from agents.__main__ import main
 
     arguments = ["compare", "--scenario", "laboratory", "--sensing", "full", "--delay", "2.5"]
-    arguments += ["--controllers", "lqr", "none", "--noise", "2", "--no-records", "--duration", "4"]
+    arguments += [
+        "--controllers",
+        "lqr",
+        "none",
+        "--num-noise-motions",
+        "2",
+        "--no-records",
+        "--duration",
+        "4",
+    ]
     assert main([*arguments, "--json"]) == 0
     alone = json.loads(capsys.readouterr().out)
-    assert main([*arguments, "--supervised", "--json"]) == 0
+    assert main([*arguments, "--safety-supervisor", "--json"]) == 0
     held = json.loads(capsys.readouterr().out)
     ended = [[row["broken_limit"] for row in found["episodes"]["lqr"]] for found in (alone, held)]
     assert None not in ended[0] and ended[1] == [None, None]  # LQR does not know of the delay

@@ -20,9 +20,11 @@ SPECIMENS = {"fields": {"uncertainty.mass_ratio": [0.1, 1.0], "delay": 2.5}}
 
 def estimated(scenario):
     """A model that corrects a law behind an estimator."""
-    chosen = APGOptions(base="lqg-dac", authority=0.3, window=12, terminal_value=True)
+    chosen = APGOptions(
+        base_controller="lqg-dac", residual_scale=0.3, rollout_horizon=12, terminal_value=True
+    )
     config = TrainConfig(algorithm="apg", apg=chosen)
-    base = base_law(chosen.base, scenario)
+    base = base_law(chosen.base_controller, scenario)
     env = ShakeTableVecEnv(scenario, 3, base=base, authority=0.3, reward_scale=0.01)
     model = new_model(config, scenario, env)
     model._setup_learn(1)
@@ -120,7 +122,12 @@ def test_training_goes_the_same_way_in_segments(memory):
     scenario = make_scenario("laboratory", {"duration": 0.2})
 
     def learned(checkpoint):
-        chosen = APGOptions(window=24, memory=memory, checkpoint=checkpoint, terminal_value=True)
+        chosen = APGOptions(
+            rollout_horizon=24,
+            gru_hidden_size=memory,
+            checkpoint_segment_length=checkpoint,
+            terminal_value=True,
+        )
         config = TrainConfig(algorithm="apg", apg=chosen)
         env = ShakeTableVecEnv(scenario, 2, base=base_law("lqg", scenario), reward_scale=0.01)
         model = new_model(config, scenario, env)

@@ -1,4 +1,4 @@
-"""The command ``shake recipe-search``."""
+"""The command ``shake tune-training``."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ if TYPE_CHECKING:  # the rest of the command line starts without torch
 
 
 @dataclass(frozen=True, kw_only=True)
-class SearchRecipe(CommandOptions):
+class TuneTraining(CommandOptions):
     """Search the values of a campaign's recipe by short trainings; goes on where it stopped.
 
     Try:
-      shake recipe-search linear/ppo --minutes 60
-      shake recipe-search laboratory/apg --share 0.5 --trials 30
-      shake recipe-search linear/ppo --trials 0 --keep docs/results/recipe_linear_ppo.json
-      shake recipe-search linear/ppo --trials 0 --page docs/training.md
+      shake tune-training linear/ppo --minutes 60
+      shake tune-training laboratory/apg --step-fraction 0.5 --trials 30
+      shake tune-training linear/ppo --trials 0 --output docs/results/recipe_linear_ppo.json
+      shake tune-training linear/ppo --trials 0 --page docs/training.md
     """
 
     recipe: tyro.conf.Positional[str]
-    """ARENA/ALGORITHM, as shake campaign --dry-run lists them; its own values are the first trial."""
-    share: float = 0.3
+    """SCENARIO/ALGORITHM, as shake run-experiments --dry-run lists them: the first trial."""
+    step_fraction: float = 0.3
     """Share of the recipe's steps that a trial trains for."""
     trials: int = 40
-    """Trials in all, those of before counted; 0: only --keep and --page."""
+    """Trials in all, those of before counted; 0: only --output and --page."""
     minutes: float | None = None
     """Wall time to search for (unset: no bound); the trial it ends in goes on another time."""
     seed: int = 0
@@ -48,7 +48,7 @@ class SearchRecipe(CommandOptions):
     """SQLite file with the trace of every search; a search in it is gone on with."""
     folder: Path = Path("runs/recipe-search")
     """Where the trials' runs lie."""
-    keep: Path | None = None
+    output: Path | None = None
     """JSON file for the trace, such as docs/results/recipe_linear_ppo.json."""
     page: Path | None = None
     """Markdown page whose searches, tables and figures, are renewed from all kept traces."""
@@ -60,16 +60,16 @@ class SearchRecipe(CommandOptions):
         from agents.experiments.search import Search, find_recipe
         from agents.experiments.search_trace import write_trace
 
-        if self.keep is not None and self.keep.suffix != ".json":
+        if self.output is not None and self.output.suffix != ".json":
             remedy = "must be a JSON file, such as docs/results/recipe_linear_ppo.json"
-            raise ParameterError("keep", str(self.keep), remedy)
-        if self.keep is not None:
-            require_writable_file(self.keep, "keep")
+            raise ParameterError("output", str(self.output), remedy)
+        if self.output is not None:
+            require_writable_file(self.output, "output")
         require_writable_file(self.storage, "storage")
         require_writable(self.folder, "folder")
         search = Search(
             recipe=find_recipe(self.recipe),
-            share=self.share,
+            share=self.step_fraction,
             seed=self.seed,
             earthquakes=self.earthquakes,
         )
@@ -79,9 +79,9 @@ class SearchRecipe(CommandOptions):
             display.note("the same command goes on with this trial")
             raise
         _print(trace, console)
-        if self.keep is not None:
-            write_trace(trace, self.keep)
-            console.print(f"wrote {self.keep}")
+        if self.output is not None:
+            write_trace(trace, self.output)
+            console.print(f"wrote {self.output}")
         if self.page is not None:
             self._renew(self.page, console)
         return trace.to_json()

@@ -1,4 +1,4 @@
-"""The commands ``shake campaign`` and ``shake results``."""
+"""The commands ``shake run-experiments`` and ``shake update-docs``."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from shake_env.errors import ParameterError, ShakeError
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunCampaign(CommandOptions):
+class RunExperiments(CommandOptions):
     """Train every recipe with every seed and evaluate the policies; resume an interrupted campaign.
 
     Try:
-      shake campaign --dry-run
-      shake campaign --only linear/ppo linear/sac --seeds 2
-      shake campaign --only 'laboratory/*' --processes 4
-      shake campaign --results docs/results
+      shake run-experiments --dry-run
+      shake run-experiments --experiments linear/ppo linear/sac --seeds 2
+      shake run-experiments --experiments 'laboratory/*' --processes 4
+      shake run-experiments --results docs/results
     """
 
-    only: tuple[str, ...] = ()
+    experiments: tuple[str, ...] = ()
     """Recipes as SCENARIO/ALGORITHM, or patterns such as linear/*; none: all."""
     seeds: int | None = None
     """Seeds of each recipe (unset: as many as it asks for)."""
@@ -39,7 +39,7 @@ class RunCampaign(CommandOptions):
     """Folder of the results, a JSON file for each scenario (the documentation's: docs/results)."""
     evaluate: bool = True
     """Whether the scenarios of these recipes are evaluated when their runs are done."""
-    again: bool = False
+    rerun: bool = False
     """Whether all rows are evaluated anew, of the policies that there are, rather than the new ones."""
     dry_run: bool = False
     """Print what would be run, with the minutes expected, and do nothing."""
@@ -53,7 +53,7 @@ class RunCampaign(CommandOptions):
             raise ParameterError("processes", self.processes, "must be at least 1")
         if self.seeds is not None and self.seeds < 1:
             raise ParameterError("seeds", self.seeds, "must be at least 1")
-        tasks = plan(RECIPES, self.folder, self.only, self.seeds)
+        tasks = plan(RECIPES, self.folder, self.experiments, self.seeds)
         campaign = Campaign(tasks, self.processes)
         if self.dry_run:
             rows = plan_rows(tasks)
@@ -92,7 +92,7 @@ class RunCampaign(CommandOptions):
                         progress.update(bar, completed=share, description=text)
 
                     file, _, made = evaluate_arena(
-                        arena, self.folder, self.results, again=self.again, on_progress=told
+                        arena, self.folder, self.results, again=self.rerun, on_progress=told
                     )
             except ShakeError as error:
                 failures[f"evaluation of {arena.name}"] = str(error)
@@ -144,13 +144,13 @@ def _print_plan(rows: list[dict[str, Any]], minutes: float, processes: int, cons
 
 
 @dataclass(frozen=True, kw_only=True)
-class Results(CommandOptions):
+class UpdateDocs(CommandOptions):
     """Print result files as Markdown tables, or renew the tables of a page.
 
     Try:
-      shake results
-      shake results --results out/evaluate --page out/results.md
-      shake results --results docs/results --page docs/results.md
+      shake update-docs
+      shake update-docs --results out/evaluate --page out/results.md
+      shake update-docs --results docs/results --page docs/results.md
     """
 
     results: Path = Path("out/campaign")

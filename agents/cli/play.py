@@ -1,4 +1,4 @@
-"""The command ``shake watch``: a controller at work, in a window or as a film."""
+"""The command ``shake play``: a controller at work, in a window or as a film."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from shake_env.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True, kw_only=True)
-class Watch(CommandOptions):
+class Play(CommandOptions):
     """Show a controller at work in a window, or save it as a film.
 
     Try:
-      shake watch
-      shake watch --scenario yielding --controller lqr --slow-motion 4
-      shake watch --controller policy --record ridgecrest2019_clc_360 --save out/policy.mp4
-      shake watch --stories 10 --seconds 6 --save ten.gif
+      shake play
+      shake play --scenario yielding --controller lqr --slow-motion 4
+      shake play --controller ppo --record ridgecrest2019_clc_360 --save out/ppo.mp4
+      shake play --stories 10 --seconds 6 --save ten.gif
     """
 
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
@@ -106,7 +106,7 @@ class Watch(CommandOptions):
         }
 
     def _show(self, episode: Episode) -> int:
-        window = Window(f"shake watch: {episode.scenario.name}", 1.0 / self.slow_motion)
+        window = Window(f"shake play: {episode.scenario.name}", 1.0 / self.slow_motion)
         window.start()
         frames, last = 0, None
         for frame in episode.frames():

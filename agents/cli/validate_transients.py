@@ -1,4 +1,4 @@
-"""The command ``shake validate``."""
+"""The command ``shake validate-transients``."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ def linear_part(scenario: Scenario) -> Scenario:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Validate(FolderOptions):
+class ValidateTransients(FolderOptions):
     """Simulate the closed loop on records and noise, check every range, and reduce it.
 
     Try:
-      shake validate
-      shake validate --amplitude 0.4 --output out/mine
-      shake validate --stories 10 --noise 0 --json > validation.json
+      shake validate-transients
+      shake validate-transients --amplitude 0.4 --output out/mine
+      shake validate-transients --stories 10 --num-noise-motions 0 --json > validation.json
     """
 
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
-    noise: int = 3
+    num_noise_motions: int = 3
     """Filtered-noise motions of each kind (as in the paper, and high-passed with an envelope)."""
 
     def run(self, console: Console) -> dict[str, Any]:
@@ -48,14 +48,16 @@ class Validate(FolderOptions):
         from agents.studies.validation.run import validate
         from agents.studies.validation.tables import print_tables
 
-        if self.noise < 0:
-            raise ParameterError("noise", self.noise, "must be at least 0")
+        if self.num_noise_motions < 0:
+            raise ParameterError("num_noise_motions", self.num_noise_motions, "must be at least 0")
         scenario = self.scenario.build()
         folder = self.results_folder("validation")
         linear = linear_part(scenario)
         if linear != scenario:
             display.note("validated: the linear part of the scenario, fully seen, without delay")
-        found: dict[str, Any] = validate(linear, folder, progress=display.note, noise=self.noise)
+        found: dict[str, Any] = validate(
+            linear, folder, progress=display.note, noise=self.num_noise_motions
+        )
         print_tables(found, console)
         if folder is not None:
             console.print(f"wrote {folder}")

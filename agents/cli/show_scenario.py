@@ -1,4 +1,4 @@
-"""The command ``shake scenario``: a scenario field by field, by the paths that ``--set`` takes."""
+"""The command ``shake show-scenario``: a scenario field by field, by the paths that ``--set`` takes."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class ShowScenario(CommandOptions):
     What --json prints is a scenario file: every --scenario and `make_scenario` take its path.
 
     Try:
-      shake scenario
-      shake scenario --scenario laboratory
-      shake scenario --scenario laboratory --set sensing.preview=0.2 --json > mine.json
+      shake show-scenario
+      shake show-scenario --scenario laboratory
+      shake show-scenario --scenario laboratory --set sensing.preview=0.2 --json > mine.json
       shake compare --scenario mine.json
     """
 

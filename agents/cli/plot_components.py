@@ -1,4 +1,4 @@
-"""The command ``shake components``."""
+"""The command ``shake plot-components``."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from agents.cli.command_options import FolderOptions
 
 
 @dataclass(frozen=True, kw_only=True)
-class Components(FolderOptions):
+class PlotComponents(FolderOptions):
     """Draw the yielding storey's loop, the friction loop and the valve's flow-pressure curve.
 
     Try:
-      shake components
-      shake components --output out/mine
-      shake components --json > components.json
+      shake plot-components
+      shake plot-components --output out/mine
+      shake plot-components --json > components.json
     """
 
     def run(self, console: Console) -> dict[str, Any]:
