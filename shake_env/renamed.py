@@ -113,6 +113,24 @@ OPTIONS = {
     "validate-transients": {"noise": "num-noise-motions"},
 }
 
+# What packages of 0.1 handed on, by package.
+PYTHON = {
+    "agents.evaluation": {
+        "Contestant": "Entry",
+        "bench": "run_benchmark",
+        "contestant": "find_entry",
+        "controllers_of": "controllers_with_sources",
+    },
+    "agents.policies": {
+        "file_of": "policy_path",
+        "named_controller": "get_controller",
+        "require_controller": "find_controller",
+    },
+    "agents.reporting": {"Gathered": "HistoryCollector"},
+    "agents.training": {"AnalyticOptions": "APGOptions", "go_on": "train_or_resume"},
+    "baselines.analysis": {"ClosedLoop": "ContinuousClosedLoop", "respond": "forced_response"},
+}
+
 
 class RenamedWarning(FutureWarning):
     """A name of an earlier version was used."""

@@ -154,7 +154,7 @@ def rollout(
     return metrics, recorder.trajectories(scenario.physics_step, scenario.control_period)
 
 
-def true_plants(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> list[Scenario]:
+def sampled_plants(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> list[Scenario]:
     """Return the scenario with the plant that each earthquake's lane of a roll-out draws."""
     if not scenario.uncertainty.active:
         return [scenario] * len(earthquakes)

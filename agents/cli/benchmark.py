@@ -108,7 +108,7 @@ class Benchmark(CommandOptions):
         return known
 
     def _run(self, name: str) -> dict[str, Any]:
-        from agents.evaluation.benchmark import bench
+        from agents.evaluation.benchmark import run_benchmark
 
         with progress_bar() as progress:
             task = progress.add_task(name, total=1.0)
@@ -117,4 +117,6 @@ class Benchmark(CommandOptions):
                 progress.update(task, completed=share, description=f"{name}, {controller}")
 
             tuned = tuned_values(self.tuned)
-            return bench(name, self.earthquakes, self.controllers, tuned, on_progress=on_progress)
+            return run_benchmark(
+                name, self.earthquakes, self.controllers, tuned, on_progress=on_progress
+            )

@@ -67,7 +67,7 @@ class Compare(FolderOptions):
         """Compare, print, write."""
         from agents.evaluation.comparison import compare
         from agents.reporting.comparison_tables import print_tables, write_files
-        from agents.reporting.report import Gathered, make_report
+        from agents.reporting.report import HistoryCollector, make_report
         from agents.reporting.report_page import write_report
         from agents.reporting.robustness_tables import read_robustness
         from shake_env.rollout import recorded_earthquakes
@@ -78,7 +78,7 @@ class Compare(FolderOptions):
         folder = self.results_folder("compare")
         if self.report is not None:
             output_folder(self.report, self.report, force=self.force, field="report")
-        gathered = None if self.report is None else Gathered(scenario)
+        gathered = None if self.report is None else HistoryCollector(scenario)
         unlike = None if self.robustness is None else read_robustness(self.robustness, scenario.name)
         if unlike is not None and gathered is None:
             raise ParameterError(

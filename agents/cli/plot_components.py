@@ -22,11 +22,11 @@ class PlotComponents(FolderOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Put the parts on their bench, print, draw."""
-        from agents.studies.components.bench import Bench
+        from agents.studies.components.bench import ComponentSetup
         from agents.studies.components.run import components, print_numbers
 
         folder = self.results_folder("components")
-        found = components(Bench(), folder)
+        found = components(ComponentSetup(), folder)
         print_numbers(found, console)
         if folder is not None:
             console.print(f"wrote {folder}")

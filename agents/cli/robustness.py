@@ -161,11 +161,11 @@ def _holds(known: dict[str, Any], command: Robustness, options: ScenarioOptions)
 
 def _identity(command: Robustness, options: ScenarioOptions) -> dict[str, Any]:
     """Return what a result depends on but for the code: it holds as long as these are the same."""
-    from agents.evaluation.robustness import Grid, controllers_of
+    from agents.evaluation.robustness import Grid, controllers_with_sources
 
     scenario = options.build()
     tuned = tuned_values(command.tuned)
-    chosen, sources = controllers_of(command.controllers or (), scenario, tuned)
+    chosen, sources = controllers_with_sources(command.controllers or (), scenario, tuned)
     grid = Grid.of(scenario, command.perturb, command.maps)
     given = given_options(options.__dict__)
     identity: dict[str, Any] = json.loads(

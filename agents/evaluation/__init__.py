@@ -6,7 +6,7 @@ __getattr__, __all__ = names_of(
     __name__,
     {
         "benchmark": (
-            "bench",
+            "run_benchmark",
             "difference",
             "result_file",
         ),
@@ -25,8 +25,8 @@ __getattr__, __all__ = names_of(
         ),
         "latency": ("decision_time",),
         "protocol": (
-            "Contestant",
-            "contestant",
+            "Entry",
+            "find_entry",
             "evaluate",
             "optimal_cost",
         ),
@@ -42,7 +42,7 @@ __getattr__, __all__ = names_of(
         ),
         "robustness": (
             "Grid",
-            "controllers_of",
+            "controllers_with_sources",
         ),
     },
 )

@@ -1,4 +1,4 @@
-"""The classical bench: every controller on every named scenario, as files and tables in the docs."""
+"""The classical controllers on every named scenario, as result files and tables in the docs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SCENARIOS = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
 CONTROLLERS = (ORACLE, ALL)
 
 
-def bench(
+def run_benchmark(
     scenario_name: str,
     earthquakes: int,
     names: Sequence[str] = CONTROLLERS,
@@ -94,7 +94,7 @@ def read_result(file: str | PathLike[str]) -> dict[str, Any]:
     Raises
     ------
     FileError
-        If it is missing, not complete or no result of :func:`bench`.
+        If it is missing, not complete or no result of :func:`run_benchmark`.
     """
     file = Path(file)
     result = read_json(file)
@@ -147,7 +147,7 @@ def difference(
     Parameters
     ----------
     known
-        A result of `bench`.
+        A result of `run_benchmark`.
     scenario_name
         The scenario that is asked for.
     asked

@@ -125,7 +125,7 @@ def training_range(scenario: Scenario, name: str) -> tuple[float, float] | None:
     return unit * drawn.low, unit * drawn.high
 
 
-def changed(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
+def perturb(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
     """Return the scenario with other true values of some quantities, amplitude and state noise left out.
 
     What the scenario draws is drawn from a range of no width: nothing else of an episode changes.
@@ -159,7 +159,7 @@ def changed(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
     return replace(scenario, **new)
 
 
-def view_of(true: Scenario, nominal: Scenario) -> NDArray[np.float64]:
+def observation_rescaling(true: Scenario, nominal: Scenario) -> NDArray[np.float64]:
     """Return what turns an observation (n,) of `true` into the nominal scenario's scale, by product."""
     layout, other = true.observation, nominal.observation
     if layout.names != other.names:
@@ -216,7 +216,7 @@ class NoisyState:
         return action, (streams, memory)
 
 
-def altered(
+def perturbed_pair(
     controller: Controller, nominal: Scenario, values: Mapping[str, float], seeds: Sequence[int]
 ) -> tuple[Scenario, Controller]:
     """Return the perturbed scenario and the controller, which still observes signals in nominal units.
@@ -232,11 +232,11 @@ def altered(
     seeds
         Of the lanes of the roll-out, for noise on a state that is shown whole.
     """
-    true = changed(nominal, values)
+    true = perturb(nominal, values)
     level = values.get("noise", 0.0) / 100.0
     if level and nominal.sensing.full_state:
         controller = NoisyState(controller, level, nominal.plant.layout.controlled, seeds)
-    factor = view_of(true, nominal)
+    factor = observation_rescaling(true, nominal)
     if not np.allclose(factor, 1.0, rtol=1e-12, atol=0.0):
         controller = Rescaled(controller, factor)
     return true, controller

@@ -47,11 +47,11 @@ from shake_env.scenario.scenario import Scenario
 FORMAT = "shake-evaluation-1"
 LANES = 64  # earthquakes side by side where figures are made of their trajectories, which need memory
 MANY_LANES = 512  # where they are not
-WITNESS = "none"  # whose costs tell whether table and earthquakes are what they were
+SANITY_CONTROLLER = "none"  # whose costs tell whether table and earthquakes are what they were
 
 
 @dataclass(frozen=True)
-class Contestant:
+class Entry:
     """A row of a result: a classical controller, or the policies of some training seeds."""
 
     name: str
@@ -64,7 +64,7 @@ class Contestant:
         return max(1, len(self.policies))
 
 
-def contestant(text: str, scenario: Scenario) -> Contestant:
+def find_entry(text: str, scenario: Scenario) -> Entry:
     """Return what a word of the command line stands for.
 
     Parameters
@@ -92,7 +92,7 @@ def contestant(text: str, scenario: Scenario) -> Contestant:
         if entry.kind == "shipped":
             return _learned(entry.name, [policy_path(entry.name, known_name(scenario))], scenario)
         if entry.kind != "file":
-            return Contestant(entry.name)
+            return Entry(entry.name)
     files = [file for path in paths.split(",") for file in policy_files(Path(path))]
     return _learned(name or Path(paths.split(",")[0]).stem, files, scenario)
 
@@ -122,7 +122,7 @@ def policy_files(path: str | PathLike[str]) -> list[Path]:
     return found
 
 
-def _learned(name: str, files: Sequence[Path], scenario: Scenario) -> Contestant:
+def _learned(name: str, files: Sequence[Path], scenario: Scenario) -> Entry:
     policies, sources = [], []
     for file in files:
         policy = load_policy(file)
@@ -140,7 +140,7 @@ def _learned(name: str, files: Sequence[Path], scenario: Scenario) -> Contestant
                 "sha256": digest(file),
             }
         )
-    return Contestant(name, tuple(policies), tuple(sources))
+    return Entry(name, tuple(policies), tuple(sources))
 
 
 def optimal_cost(scenario: Scenario) -> float | None:
@@ -171,7 +171,7 @@ def optimal_cost(scenario: Scenario) -> float | None:
 
 def evaluate(
     scenario: Scenario,
-    contestants: Sequence[Contestant],
+    entries: Sequence[Entry],
     *,
     earthquakes: int = 200,
     repeats: bool = True,
@@ -186,7 +186,7 @@ def evaluate(
     ----------
     scenario
         What is driven; `records` on its own motions, any other on filtered noise.
-    contestants
+    entries
         Rows of the result. Reference and yardstick are run in any case.
     earthquakes
         Number of test earthquakes; each draws its specimen and noise from a seed of its own.
@@ -219,18 +219,18 @@ def evaluate(
     )
     reference, optimum = reference_name(scenario), optimal_cost(scenario)
     yardstick = reference if optimum is not None else ORACLE
-    for each in contestants:
+    for each in entries:
         if each.policies and each.name in (yardstick, reference, *CLASSICAL):
             raise ParameterError(
                 "entry", each.name, "is a controller's name: call the policies by NAME=PATH"
             )
-    given = {each.name: each for each in contestants}
-    if len(given) < len(contestants):
+    given = {each.name: each for each in entries}
+    if len(given) < len(entries):
         raise ParameterError(
-            "entries", [c.name for c in contestants], "two rows have one name: give others by NAME=PATH"
+            "entries", [c.name for c in entries], "two rows have one name: give others by NAME=PATH"
         )
-    always = (yardstick, reference) if known is None else (yardstick, reference, WITNESS)
-    rows = {name: given.pop(name, Contestant(name)) for name in dict.fromkeys(always)} | given
+    always = (yardstick, reference) if known is None else (yardstick, reference, SANITY_CONTROLLER)
+    rows = {name: given.pop(name, Entry(name)) for name in dict.fromkeys(always)} | given
     values = {
         name: found
         for name, each in rows.items()
@@ -272,7 +272,7 @@ def evaluate(
     ]
     plain = {name: found.to_json() for name, found in episodes.items()}
     if known is not None:
-        _check_same(plain[WITNESS], known["episodes"].get(WITNESS))
+        _check_same(plain[SANITY_CONTROLLER], known["episodes"].get(SANITY_CONTROLLER))
         for row in known["rows"]:
             if (name := row["controller"]) not in plain:
                 cost = np.array(known["episodes"][name]["cost"])
@@ -301,12 +301,14 @@ def _check_same(found: dict[str, Any], before: dict[str, Any] | None) -> None:
     # Processors round differently, and 7 digits are written.
     if before is None or not np.allclose(found["cost"], before["cost"], rtol=1e-5):
         raise ParameterError(
-            "known", WITNESS, "its costs differ from the stored ones: evaluate all rows again (--rerun)"
+            "known",
+            SANITY_CONTROLLER,
+            "its costs differ from the stored ones: evaluate all rows again (--rerun)",
         )
 
 
 def _episodes(
-    each: Contestant,
+    each: Entry,
     scenario: Scenario,
     quakes: Sequence[Earthquake],
     repeats: bool,
@@ -339,7 +341,7 @@ def _episodes(
 
 
 def _controller(
-    each: Contestant,
+    each: Entry,
     run: int,
     scenario: Scenario,
     quakes: Sequence[Earthquake],
@@ -350,9 +352,7 @@ def _controller(
     return get_driven(each.name, scenario, quakes, parameters)
 
 
-def _latency(
-    each: Contestant, scenario: Scenario, parameters: Mapping[str, float] | None
-) -> float | None:
+def _latency(each: Entry, scenario: Scenario, parameters: Mapping[str, float] | None) -> float | None:
     """Return the median time [s] of one decision; None for what is made for its own earthquakes."""
     if each.policies:
         return decision_time(each.policies[0], scenario)

@@ -17,7 +17,13 @@ import numpy as np
 
 import shake_env
 from agents.evaluation.controller_set import ControllerSet, get_controllers, values_to_json
-from agents.evaluation.perturbations import QUANTITIES, Change, altered, nominal_value, training_range
+from agents.evaluation.perturbations import (
+    QUANTITIES,
+    Change,
+    nominal_value,
+    perturbed_pair,
+    training_range,
+)
 from agents.policies.policy_file import PolicyFile, digest
 from agents.policies.registry import ORACLE, SHIPPED, policy_path, shipped_policy
 from agents.provenance import code_version
@@ -35,7 +41,7 @@ FORMAT = "shake-robustness-1"
 # noise matters where the motion is weak.
 PAIRS = (("mass_ratio", "storey_frequency"), ("coulomb_friction", "delay"), ("amplitude", "noise"))
 # What is compared unless told otherwise: the reference, what ships, and the best of the classical ones.
-RIVALS = {
+DEFAULT_BASELINES = {
     "linear": ("h-infinity",),
     "laboratory": ("lqg-dac", "h-infinity", "lqg-searched"),
     "records": ("lqg-dac", "h-infinity", "lqg-searched"),
@@ -110,10 +116,10 @@ def default_controllers(scenario: Scenario) -> tuple[str, ...]:
     known = known_name(scenario)
     trained = scenario.train_on or known
     own = (name for name in SHIPPED if shipped_policy(name, known).stem.startswith(f"{trained}-"))
-    return (*own, *RIVALS.get(known, ()))
+    return (*own, *DEFAULT_BASELINES.get(known, ()))
 
 
-def controllers_of(
+def controllers_with_sources(
     names: Sequence[str], scenario: Scenario, tuned: TunedValues | None = None
 ) -> tuple[ControllerSet, dict[str, dict[str, Any]]]:
     """Return the controllers, designed on the scenario as it stands, and whence the learned ones are.
@@ -140,7 +146,7 @@ def controllers_of(
     return chosen, sources
 
 
-def test_earthquakes(scenario: Scenario, number: int, seed: int) -> list[Earthquake]:
+def robustness_motions(scenario: Scenario, number: int, seed: int) -> list[Earthquake]:
     """Return the recorded motions of a scenario of records, and filtered noise of any other."""
     if number < 1:
         raise ParameterError("earthquakes", number, "ask for at least 1")
@@ -188,8 +194,8 @@ def robustness(
         If a controller is unknown or does not suit.
     """
     grid, code = Grid.of(scenario) if grid is None else grid, code_version()  # that runs, not that ends
-    quakes = test_earthquakes(scenario, earthquakes, seed)
-    chosen, sources = controllers_of(names, scenario, tuned)
+    quakes = robustness_motions(scenario, earthquakes, seed)
+    chosen, sources = controllers_with_sources(names, scenario, tuned)
     controllers = chosen.controllers
     reference = next(iter(controllers))
     changes = grid.changes(scenario)
@@ -199,9 +205,9 @@ def robustness(
         def told(share: float, name: str = name) -> None:
             on_progress(name, share)
 
-        episodes[name] = under_changes(controller, scenario, quakes, changes, told)
+        episodes[name] = evaluate_perturbations(controller, scenario, quakes, changes, told)
     cost = {name: np.array([[m.cost for m in row] for row in rows]) for name, rows in episodes.items()}
-    failures = {name: [sum(map(lost, row)) for row in rows] for name, rows in episodes.items()}
+    failures = {name: [sum(map(failed, row)) for row in rows] for name, rows in episodes.items()}
     return {
         "format": FORMAT,
         "scenario": scenario.name,
@@ -246,7 +252,7 @@ def _quantity(scenario: Scenario, name: str, values: Sequence[float]) -> dict[st
     }
 
 
-def lost(metrics: EpisodeMetrics) -> bool:
+def failed(metrics: EpisodeMetrics) -> bool:
     """Return whether a test failed: a limit ended it, or standing still would have served it better.
 
     A scenario without limits lets an unstable loop go on; a motionless table's acceleration error is 1.
@@ -254,7 +260,7 @@ def lost(metrics: EpisodeMetrics) -> bool:
     return metrics.broken_limit is not None or not metrics.acceleration_rms_error <= 1.0
 
 
-def under_changes(
+def evaluate_perturbations(
     controller: Controller,
     scenario: Scenario,
     earthquakes: Sequence[Earthquake],
@@ -275,7 +281,7 @@ def under_changes(
             for factor in (dict(changes[i]).get("amplitude", 1.0) for i in members)
             for q in earthquakes
         ]
-        true, unaware = altered(controller, scenario, dict(change), [q.seed for q in quakes])
+        true, unaware = perturbed_pair(controller, scenario, dict(change), [q.seed for q in quakes])
         metrics, _ = rollout(unaware, true, quakes)
         for place, index in enumerate(members):
             found[index] = metrics[place * len(earthquakes) : (place + 1) * len(earthquakes)]

@@ -42,7 +42,7 @@ FAILED = 1e6  # cost of a trial whose design fails
 
 
 @dataclass(frozen=True)
-class Tuning:
+class TuningResult:
     """What a search came to."""
 
     controller: str
@@ -71,7 +71,7 @@ def tune(
     seed: int = 0,
     tuned: TunedValues | None = None,
     on_trial: Callable[[int, int, float], None] = lambda done, total, best: None,
-) -> Tuning:
+) -> TuningResult:
     """Search, or go on with a search.
 
     Parameters
@@ -125,7 +125,7 @@ def tune(
     identity = zlib.crc32(repr(parts).encode())
     study = f"{scenario.name}/{name}/{seed}/{earthquakes}/{identity:08x}"
     found = search(cost, tunable, storage, study, total, seed, on_trial, starts)
-    return Tuning(
+    return TuningResult(
         name, scenario.name, scenario_digest(scenario), found.parameters, found.cost,
         found.default_cost, found.trials, found.trials * steps, earthquakes, seed,
     )  # fmt: skip
@@ -192,7 +192,7 @@ def mean_cost(
 
 
 @dataclass(frozen=True)
-class Found:
+class StudyResult:
     """What a study came to."""
 
     parameters: dict[str, float]
@@ -210,7 +210,7 @@ def search(
     seed: int,
     on_trial: Callable[[int, int, float], None],
     starts: Sequence[Mapping[str, float]],
-) -> Found:
+) -> StudyResult:
     """Search `tunable` for the least cost in `total` trials, those of an earlier run counted.
 
     The first trials are `starts`; what the first of them costs is the result's `default_cost`.
@@ -259,7 +259,7 @@ def search(
         on_trial(done, total, study.best_value)
     default = _value_at(study, starts[0])
     assert default is not None  # it is the first trial, and there is one
-    return Found(dict(study.best_params), float(study.best_value), float(default), done)
+    return StudyResult(dict(study.best_params), float(study.best_value), float(default), done)
 
 
 def _value_at(study: Any, start: Mapping[str, float]) -> float | None:
@@ -272,7 +272,7 @@ def _finished(study: Any) -> int:
     return sum(trial.value is not None for trial in study.trials)
 
 
-def keep(tuning: Tuning, file: str | PathLike[str]) -> None:
+def keep(tuning: TuningResult, file: str | PathLike[str]) -> None:
     """Put a result into a file of tuned values, in place of one for the same controller and scenario.
 
     Raises

@@ -10,7 +10,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from agents.evaluation.protocol import Contestant, contestant, evaluate
+from agents.evaluation.protocol import Entry, evaluate, find_entry
 from agents.evaluation.result_files import PREFIX, read_result, write_result
 from agents.experiments.recipes import Arena
 from agents.run_directory import POLICY
@@ -59,8 +59,8 @@ def evaluate_arena(
     folder, results = Path(folder), Path(results)
     file = results / f"{PREFIX}{arena.name}.json"
     scenario = arena.options.build()
-    rows = [contestant(str(runs), scenario) for runs in policy_folders(arena, folder)]
-    rows += [Contestant(name) for name in arena.rivals]
+    rows = [find_entry(str(runs), scenario) for runs in policy_folders(arena, folder)]
+    rows += [Entry(name) for name in arena.rivals]
     known = None
     if file.exists() and not again:
         known = _read(file, arena)
@@ -95,7 +95,7 @@ def _read(file: Path, arena: Arena) -> dict[str, Any]:
     return known
 
 
-def _holds(row: Contestant, known: dict[str, Any], scenario: Scenario) -> bool:
+def _holds(row: Entry, known: dict[str, Any], scenario: Scenario) -> bool:
     """Return whether a known row is this one's: the same rival, or policies that it was made of.
 
     Raises

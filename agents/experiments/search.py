@@ -34,7 +34,7 @@ from agents.run_directory import POLICY, file_errors, locked
 from agents.seeds import VALIDATION_SEED
 from agents.training.checkpoint import delete_checkpoints
 from agents.training.config import config_of
-from agents.training.run import go_on
+from agents.training.run import train_or_resume
 from shake_env.errors import (
     ParameterError,
     PolicyFileError,
@@ -262,7 +262,7 @@ def _trial(
     try:
         options = f"--step-fraction {search.share:g} --seed {search.seed}"
         command = f"shake tune-training {search.recipe.name} {options}"
-        go_on(config, run, report=report, command=command)
+        train_or_resume(config, run, report=report, command=command)
         judge.report()
         found = validation.judge(load_policy(run / POLICY))
     except PrunedError:

@@ -14,7 +14,7 @@ from pathlib import Path
 from agents.progress import Progress
 from agents.run_directory import PROGRESS, parse_json, write_json
 from agents.training.config import config_of
-from agents.training.run import go_on
+from agents.training.run import train_or_resume
 from shake_env.errors import ShakeError
 
 PATIENCE = 120.0  # [s] in which a worker whose campaign was killed comes to its next report and ends
@@ -36,7 +36,7 @@ def work(run: str | PathLike[str], values: str, command: str) -> None:
             raise KeyboardInterrupt  # the campaign is gone; the checkpoint stays
         write_json(run / PROGRESS, asdict(told))
 
-    go_on(config, run, report=report, command=command, wait=PATIENCE)
+    train_or_resume(config, run, report=report, command=command, wait=PATIENCE)
 
 
 if __name__ == "__main__":

@@ -60,7 +60,7 @@ class GRUPolicy(ActorCriticPolicy):
 
     def _build(self, lr_schedule: Schedule) -> None:
         super()._build(lr_schedule)
-        begin_still(self)
+        zero_init_skip(self)
 
     def rest(self, lanes: int) -> torch.Tensor:
         """Return the memory (lanes, units) at the start of an episode."""
@@ -153,10 +153,10 @@ class DirectPolicy(ActorCriticPolicy):
 
     def _build(self, lr_schedule: Schedule) -> None:
         super()._build(lr_schedule)
-        begin_still(self)
+        zero_init_skip(self)
 
 
-def begin_still(policy: ActorCriticPolicy) -> None:
+def zero_init_skip(policy: ActorCriticPolicy) -> None:
     """Let the direct path begin at zero: a random law moves the table, a fresh network hardly does."""
     assert isinstance(policy.mlp_extractor, DirectActor)
     assert isinstance(policy.action_net, torch.nn.Linear)  # as for any Gaussian action

@@ -158,7 +158,7 @@ class ShakeTableVecEnv(VecEnv):
         """What the tables show now, (N, n), without what a law believes of it."""
         return self._observation.copy()
 
-    def skip(
+    def advance_to(
         self,
         state: FloatArray,
         memory: SensorMemory,

@@ -17,7 +17,7 @@ __getattr__, __all__ = names_of(
             "write_card",
         ),
         "report": (
-            "Gathered",
+            "HistoryCollector",
             "make_report",
         ),
         "report_page": ("write_report",),

@@ -29,7 +29,7 @@ from shake_env.simulation.trajectory import Trajectory
 FloatArray = NDArray[np.float64]
 
 
-class Gathered:
+class HistoryCollector:
     """What is kept of every controller's histories; its call is `compare`'s ``on_histories``.
 
     Parameters
@@ -86,7 +86,7 @@ class Report:
 
     comparison: Comparison
     scenario: Scenario
-    gathered: Gathered
+    gathered: HistoryCollector
     verdict: Verdict
     labels: dict[str, str]  # of controllers, each its own
     channels: tuple[Channel, ...]
@@ -121,7 +121,7 @@ class Report:
 
 def make_report(
     comparison: Comparison,
-    gathered: Gathered,
+    gathered: HistoryCollector,
     command: str,
     unlike: dict[str, Any] | None = None,
 ) -> Report:

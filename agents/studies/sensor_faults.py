@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.evaluation.perturbations import view_of
+from agents.evaluation.perturbations import observation_rescaling
 from agents.studies.hostile_controllers import Hostile
 from baselines.batch_controllers import Rescaled
 from shake_env.controller import Controller, decide
@@ -149,7 +149,7 @@ def broken_limits(
     nominal = replace(laboratory(), uncertainty=SPECIMENS)
     true = case.table(nominal)
     supervisor = supervise(Hostile(nominal, lanes, seed), nominal)
-    factor = view_of(true, nominal)
+    factor = observation_rescaling(true, nominal)
     driving: Controller = supervisor
     if not np.allclose(factor, 1.0, rtol=1e-12, atol=0.0):
         driving = Rescaled(supervisor, factor)

@@ -28,7 +28,7 @@ __getattr__, __all__ = names_of(
         "progress": ("TrainingView",),
         "run": (
             "finished",
-            "go_on",
+            "train_or_resume",
             "require_beginnable",
             "resume",
             "train",

@@ -52,7 +52,7 @@ from agents.training.config import TrainConfig, read_config, require_same
 from agents.training.model_factory import Model, new_model
 from agents.training.policy_export import export_policy
 from agents.training.progress import example_figure
-from agents.training.warm_start import begin_with, first_file
+from agents.training.warm_start import first_file, load_actor_weights
 from baselines.lqr.oracle import oracle_controller
 from baselines.lqr.sampled import lqr
 from shake_env.errors import RunDirectoryError
@@ -131,7 +131,7 @@ def resume(
         return _go_on(config, run, report, command)
 
 
-def go_on(
+def train_or_resume(
     config: TrainConfig,
     run: str | PathLike[str],
     *,
@@ -218,7 +218,7 @@ def _new(config: TrainConfig, file: Path | None) -> tuple[Model, ShakeTableVecEn
     torch.set_num_threads(config.threads)
     model = new_model(config, scenario, env, direct=first is not None and first.direct)
     if first is not None:
-        begin_with(model, env, first)
+        load_actor_weights(model, env, first)
     # After the model: SB3 seeds the environment with the run's own seed, so that the tables of run 1
     # would repeat those of run 0 but for one.
     env.seed(config.seed * RUN_SEEDS)
@@ -275,7 +275,7 @@ def training_tables(config: TrainConfig, scenario: Scenario) -> ShakeTableVecEnv
     )
 
 
-class _Watch(BaseCallback):
+class _EvaluationCallback(BaseCallback):
     """Evaluates and checkpoints between roll-outs; changes nothing about the training.
 
     Evaluations go by steps, so that a run that was interrupted keeps the same policy for its best as one
@@ -416,7 +416,7 @@ def _run(
     code = code_version()  # that runs, not that ends
     model.set_logger(configure(str(run / "tensorboard"), ["tensorboard"]))
     with threadpool_limits(config.threads):
-        watch = _Watch(config, env, run, report)
+        watch = _EvaluationCallback(config, env, run, report)
         remaining = config.steps - model.num_timesteps
         if remaining > 0:
             # SB3 counts what is added to the steps done, and its learning rate from the sum.

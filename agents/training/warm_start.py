@@ -26,7 +26,7 @@ def first_file(config: TrainConfig) -> Path | None:
     )
 
 
-def begin_with(model: Model, env: ShakeTableVecEnv, policy: PolicyFile) -> None:
+def load_actor_weights(model: Model, env: ShakeTableVecEnv, policy: PolicyFile) -> None:
     """Give a new model's actor the weights of a policy file; its critic begins anew.
 
     Both must read the same features, correct the same law with the same authority and have the same

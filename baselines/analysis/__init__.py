@@ -15,9 +15,9 @@ __getattr__, __all__ = names_of(
         ),
         "batch_response": ("mean_squares",),
         "closed_loop": (
-            "ClosedLoop",
+            "ContinuousClosedLoop",
             "Response",
-            "respond",
+            "forced_response",
         ),
         "h2": (
             "h2_frequency",

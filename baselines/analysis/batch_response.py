@@ -20,7 +20,7 @@ BLOCKS = range(8, 13)  # samples; where the arithmetic that short blocks save me
 REGISTER = 8  # rows that matrix libraries take at once: a product of 40 rows costs less than one of 37
 
 
-def respond(
+def forced_response(
     system: DiscreteStateSpace,
     inputs: FloatArray,
     initial: FloatArray | None = None,
@@ -53,7 +53,7 @@ def mean_squares(
     initial: FloatArray | None = None,
     block: int | None = None,
 ) -> FloatArray:
-    """Return the mean square of each output over the samples, (outputs, N); as for `respond`.
+    """Return the mean square of each output over the samples, (outputs, N); as for `forced_response`.
 
     The outputs themselves, a hundred megabytes for a thousand earthquakes, are never kept.
     """

@@ -34,7 +34,7 @@ CURRENT = "current"
 
 
 @dataclass(frozen=True)
-class ClosedLoop:
+class ContinuousClosedLoop:
     """A stable closed loop from w, the unit white noise ahead of the ground filter."""
 
     plant: CoupledPlant
@@ -65,7 +65,7 @@ class ClosedLoop:
         )
 
 
-def closed_loop(plant: CoupledPlant, gain: FloatArray) -> ClosedLoop:
+def closed_loop(plant: CoupledPlant, gain: FloatArray) -> ContinuousClosedLoop:
     """Return the closed loop of ``u = -gain @ x``.
 
     Parameters
@@ -132,7 +132,7 @@ def closed_loop(plant: CoupledPlant, gain: FloatArray) -> ClosedLoop:
     sizes.append(REFERENCE_CURRENT)
     C = np.stack(list(rows.values()))[:, keep]
     system = StateSpace(A, xi.B[keep, 1:], C, np.zeros((len(rows), 1)))
-    return ClosedLoop(plant, system, tuple(rows), np.array(sizes))
+    return ContinuousClosedLoop(plant, system, tuple(rows), np.array(sizes))
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class Response:
     noise: FloatArray  # (samples,) the w that makes the ground filter produce the target
 
 
-def respond(
+def forced_response(
     system: StateSpace, ground: GroundFilter, target: FloatArray, step: float, velocity: int
 ) -> Response:
     """Return the exact response of a model from w, full or reduced, to a given target from rest.

@@ -33,7 +33,7 @@ from shake_env.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True)
-class Belief:
+class AdaptiveState:
     """What is remembered of N tables, between control periods."""
 
     specimen: FloatArray  # (N, F, 2 stories) x_S of each candidate frequency
@@ -48,7 +48,7 @@ class Belief:
     started: NDArray[np.bool_]  # (N,) whether there was a last period
 
     @classmethod
-    def none(cls, lanes: int, candidates: int, states: int) -> Belief:
+    def none(cls, lanes: int, candidates: int, states: int) -> AdaptiveState:
         """Return the memory before anything was seen: all at rest."""
         two = (lanes, candidates, states)
         return cls(
@@ -57,7 +57,7 @@ class Belief:
             np.zeros((lanes, 2)), np.zeros(lanes, dtype=bool),
         )  # fmt: skip
 
-    def restarted(self, lanes: NDArray[np.bool_]) -> Belief:
+    def restarted(self, lanes: NDArray[np.bool_]) -> AdaptiveState:
         """Return this memory with `lanes` (N,) as before anything was seen."""
         if not lanes.any():
             return self
@@ -65,7 +65,7 @@ class Belief:
         for field in fields(self):
             kept[field.name] = getattr(self, field.name).copy()
             kept[field.name][lanes] = 0
-        return Belief(**kept)
+        return AdaptiveState(**kept)
 
 
 class CertaintyEquivalence:
@@ -144,7 +144,7 @@ class CertaintyEquivalence:
         """Return the action (..., 1) for an observation (..., n), within [-1, 1]."""
         seen = np.atleast_2d(observation).astype(float)
         if state is None:
-            belief = Belief.none(len(seen), *self.bank.shear.shape)
+            belief = AdaptiveState.none(len(seen), *self.bank.shear.shape)
         else:
             belief = state[0]
             if episode_start is not None:
@@ -153,7 +153,7 @@ class CertaintyEquivalence:
         action = current / self.scenario.current_limit
         return action.reshape(*observation.shape[:-1], 1).astype(np.float32), (belief,)
 
-    def posterior(self, belief: Belief) -> tuple[FloatArray, FloatArray]:
+    def posterior(self, belief: AdaptiveState) -> tuple[FloatArray, FloatArray]:
         """Return each frequency's probability (N, F) and its mass ratio (N, F)."""
         mean, variance = self._prior
         precision = belief.moments[..., 0] / self._variance + 1.0 / variance
@@ -166,12 +166,12 @@ class CertaintyEquivalence:
         weight = np.exp(-0.5 * (evidence - evidence.min(axis=-1, keepdims=True)))
         return weight / weight.sum(axis=-1, keepdims=True), mass
 
-    def estimate(self, belief: Belief) -> tuple[FloatArray, FloatArray]:
+    def estimate(self, belief: AdaptiveState) -> tuple[FloatArray, FloatArray]:
         """Return the posterior mean of mass ratio (N,) and storey frequency (N,) [Hz]."""
         weight, mass = self.posterior(belief)
         return np.sum(weight * mass, axis=-1), weight @ self.bank.frequencies
 
-    def _command(self, seen: FloatArray, belief: Belief) -> tuple[FloatArray, Belief]:
+    def _command(self, seen: FloatArray, belief: AdaptiveState) -> tuple[FloatArray, AdaptiveState]:
         scenario, shown = self.scenario, self.scenario.observation
         layout, scale = scenario.plant.layout, scenario.plant.state_scale
         head = seen[:, : shown.head] * scale[: shown.head]
@@ -227,7 +227,7 @@ class CertaintyEquivalence:
         )
         return shear
 
-    def _learnt(self, belief: Belief, phi: FloatArray, shear: FloatArray) -> Belief:
+    def _learnt(self, belief: AdaptiveState, phi: FloatArray, shear: FloatArray) -> AdaptiveState:
         """Return the belief after a period of `shear` (N,); an episode's start tells nothing."""
         new = np.where(belief.started[:, None], phi, 0.0)
         f = np.where(belief.started, shear, 0.0)
@@ -238,7 +238,7 @@ class CertaintyEquivalence:
             square=self._forget * belief.square + f**2,
         )
 
-    def _readings(self, seen: FloatArray, belief: Belief) -> tuple[FloatArray, FloatArray]:
+    def _readings(self, seen: FloatArray, belief: AdaptiveState) -> tuple[FloatArray, FloatArray]:
         """Return the readings (N, 5) of `SIGNALS` in SI, the low-pass undone, and what it gave."""
         shown = self.scenario.observation
         places = [shown.reading_names.index(signal) for signal in SIGNALS]
@@ -250,8 +250,8 @@ class CertaintyEquivalence:
         return readings, raw
 
     def _simulated(
-        self, readings: FloatArray, raw: FloatArray, target: FloatArray, belief: Belief
-    ) -> Belief:
+        self, readings: FloatArray, raw: FloatArray, target: FloatArray, belief: AdaptiveState
+    ) -> AdaptiveState:
         """Advance the candidates by measured acceleration and target, and learn from the balance."""
         acceleration = readings[:, -1]
         b = self.bank
@@ -278,7 +278,7 @@ class CertaintyEquivalence:
             acceleration=np.stack([acceleration, raw], axis=-1),
         )
 
-    def _shown(self, head: FloatArray, belief: Belief) -> Belief:
+    def _shown(self, head: FloatArray, belief: AdaptiveState) -> AdaptiveState:
         """Learn from the full state: a period's impulse is the change of momentum."""
         layout, a = self.scenario.plant.layout, self.scenario.actuator
         period, table = self.scenario.control_period, head[:, layout.actuator]

@@ -20,7 +20,7 @@ from shake_env.errors import ParameterError, ScenarioError
 from shake_env.model.nonlinearity import Nonlinearity
 from shake_env.model.parameters import FloatArray
 from shake_env.model.plant import TABLE_DISPLACEMENT
-from shake_env.rollout import Earthquake, rollout, true_plants
+from shake_env.rollout import Earthquake, rollout, sampled_plants
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty
 from shake_env.simulation.trajectory import Trajectory
@@ -243,7 +243,7 @@ def run_test(
         steps = max(len(history.current) for history in histories.values())
     signals = np.zeros((4, len(earthquakes), steps, k))
     energy, drift = np.zeros((2, len(earthquakes))), np.zeros((2, len(earthquakes)))
-    for lane, true in zip(lanes, true_plants(scenario, earthquakes), strict=True):
+    for lane, true in zip(lanes, sampled_plants(scenario, earthquakes), strict=True):
         one = histories[lane]
         for row, values in enumerate(
             (

@@ -21,7 +21,7 @@ from baselines.batch_controllers import PerLane, Rescaled, _Rows, rescaling
 from baselines.lqr.feedforward import FeedforwardLQR
 from baselines.lqr.preview import PreviewFeedback, preview_lqr
 from shake_env.controller import Controller
-from shake_env.rollout import Earthquake, true_plants
+from shake_env.rollout import Earthquake, sampled_plants
 from shake_env.scenario.observation import Sensing
 from shake_env.scenario.scenario import Scenario
 
@@ -49,7 +49,7 @@ def oracle_controller(
         One a lane of the roll-out, in order: their seeds fix the plants.
     """
     view = oracle_view(scenario)
-    plants = true_plants(view, earthquakes)
+    plants = sampled_plants(view, earthquakes)
     parts = scenario.parts
     if parts.friction.active or parts.valve.flow_active:
         # Without the ground's high-pass there is no place that a table could be held in.

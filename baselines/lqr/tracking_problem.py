@@ -101,7 +101,7 @@ class TrackingProblem:
         R_u = float((stage + G.T @ P @ G)[0, 0])
         closed = F - G @ K
         Psi = (z_x - z_u @ K).T
-        H = stein_sum(closed.T, Psi @ r_e, A)  # E[h_i | x_e,i] = H x_e,i
+        H = dlyap(closed.T, Psi @ r_e, A)  # E[h_i | x_e,i] = H x_e,i
         return cls(
             discrete, cost, p.kept[c], p.kept[e], F, G, Z_x, Z_u, A, N, C, D, P, K, R_u, closed,
             L=(z_u.T @ r_e + G.T @ H @ A) / R_u,
@@ -122,7 +122,7 @@ class TrackingProblem:
     @property
     def unseen(self) -> float:
         """Conditional variance of v_i given the present state alone."""
-        reach = stein_sum(self.closed, self.G @ self.G.T, self.closed.T) / self.R_u**2
+        reach = dlyap(self.closed, self.G @ self.G.T, self.closed.T) / self.R_u**2
         return float(np.sum(self.M_0**2) + np.einsum("id,ij,jd->", self.Gamma, reach, self.Gamma))
 
 
@@ -134,7 +134,7 @@ def weighed(cost: StageCost, outputs: FloatArray) -> FloatArray:
     return rows
 
 
-def stein_sum(left: FloatArray, middle: FloatArray, right: FloatArray) -> FloatArray:
+def dlyap(left: FloatArray, middle: FloatArray, right: FloatArray) -> FloatArray:
     """Return ``sum_j left^j middle right^j``, which solves ``X = left X right + middle``.
 
     By doubling (Smith, SIAM J. Appl. Math. 16, 1968): no matrix is inverted, and terms are only added.

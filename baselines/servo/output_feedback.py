@@ -109,7 +109,7 @@ class LinearLaw:
 
 
 @dataclass(frozen=True)
-class ClosedLoop:
+class SampledClosedLoop:
     """A law and the nominal table: states ``[x, xi]``, input the target's three signals."""
 
     table: NominalTable

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.servo.output_feedback import ClosedLoop, LinearLaw, NominalTable, OutputFeedback
+from baselines.servo.output_feedback import LinearLaw, NominalTable, OutputFeedback, SampledClosedLoop
 from baselines.servo.signals import (
     DISPLACEMENT,
     PRESSURE,
@@ -95,14 +95,14 @@ def ultimate_point(scenario: Scenario, pressure: float = 0.0) -> UltimatePoint:
     """
     table, unit = NominalTable.of(scenario), scenario.actuator.velocity_gain
 
-    def loop(gain: float) -> ClosedLoop:
+    def loop(gain: float) -> SampledClosedLoop:
         gains = PIDGains(
             proportional=gain / unit, integral_time=math.inf, derivative_time=0.0, pressure=pressure
         )
         # The integral is not connected; left in, it would be a pole at 1.
         law = pid_law(gains, table.period)
         reduced = LinearLaw(law.A[1:, 1:], law.B[1:], law.C[1:], law.D, law.W[1:])
-        return ClosedLoop(table, reduced)
+        return SampledClosedLoop(table, reduced)
 
     rising = np.geomspace(0.1, HIGHEST_GAIN, 200)
     unstable = [gain for gain in rising if not loop(gain).radius < 1.0]
@@ -160,7 +160,9 @@ class PIDRule:
             feed_forward=feed_forward,
             pressure=self.pressure,
         )
-        radius = ClosedLoop(NominalTable.of(scenario), pid_law(gains, scenario.control_period)).radius
+        radius = SampledClosedLoop(
+            NominalTable.of(scenario), pid_law(gains, scenario.control_period)
+        ).radius
         if not radius < 1.0:
             raise NumericalError(
                 "spectral radius", radius, "the rule makes an unstable loop: lower share or bandwidth"
@@ -181,5 +183,5 @@ def pid(scenario: Scenario, gains: PIDGains | None = None) -> OutputFeedback:
 
 def acceleration_response(scenario: Scenario, gains: PIDGains, frequency: FloatArray) -> FloatArray:
     """Return the amplitude of y_A over y~ of the nominal loop at `frequency` (f,) [Hz]."""
-    loop = ClosedLoop(NominalTable.of(scenario), pid_law(gains, scenario.control_period))
+    loop = SampledClosedLoop(NominalTable.of(scenario), pid_law(gains, scenario.control_period))
     return np.abs(loop.response(frequency))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.servo.output_feedback import ClosedLoop, LinearLaw, NominalTable, OutputFeedback
+from baselines.servo.output_feedback import LinearLaw, NominalTable, OutputFeedback, SampledClosedLoop
 from baselines.servo.signals import (
     ACCELERATION,
     DISPLACEMENT,
@@ -108,7 +108,7 @@ def feed_forward_gains(table: NominalTable, feedback: FloatArray, band: FloatArr
     for target in TARGETS:
         one = D.copy()
         one[target] = 1.0
-        columns.append(ClosedLoop(table, LinearLaw.static(one)).response(band))
+        columns.append(SampledClosedLoop(table, LinearLaw.static(one)).response(band))
     matrix = np.stack(columns, axis=1)
     stacked = np.concatenate([matrix.real, matrix.imag])
     wanted = np.concatenate([np.ones(len(band)), np.zeros(len(band))])
@@ -132,7 +132,7 @@ def placed_feedback(table: NominalTable, scenario: Scenario, design: TVCDesign) 
     feedback = feedback_gains(table, np.exp(s * table.period))
     D = np.zeros(SIGNALS)
     D[FEEDBACK] = -feedback
-    radius = ClosedLoop(table, LinearLaw.static(D)).radius
+    radius = SampledClosedLoop(table, LinearLaw.static(D)).radius
     if not radius < 1.0:
         raise NumericalError("spectral radius", radius, "ask for less bandwidth or oil damping")
     return feedback

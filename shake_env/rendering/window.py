@@ -33,7 +33,7 @@ REMEDY = "use render_mode='rgb_array', or shake play --save FILE"
 INSTALL = install_hint("render")
 
 
-class View:
+class EnvRenderer:
     """The picture of one environment.
 
     A new frame is drawn `frame_rate` times a second of the test's own time; in between, the last one
@@ -201,9 +201,11 @@ class Window:
         self._pygame.display.set_caption(self.title)
 
 
-def make_view(scenario: Scenario, mode: str | None, frame_rate: float = FRAME_RATE) -> View | None:
+def make_view(
+    scenario: Scenario, mode: str | None, frame_rate: float = FRAME_RATE
+) -> EnvRenderer | None:
     """Return the view of an environment; None where nothing is to be shown."""
-    return None if mode is None else View(scenario, mode, frame_rate)
+    return None if mode is None else EnvRenderer(scenario, mode, frame_rate)
 
 
 def metadata(scenario: Scenario) -> dict[str, Any]:

@@ -146,7 +146,7 @@ def _carried(scenario: Scenario, specimen: Specimen) -> tuple[FloatArray, FloatA
 
 
 @dataclass(frozen=True)
-class Foresight:
+class BrakingPrediction:
     """What one command brings about, under each of H specimens: everything that is made ahead.
 
     Columns are those of ``z = [x_A, x_r, w, force, flow, commands under way]``, SI, without the command.
@@ -168,7 +168,7 @@ class Foresight:
         specimens: Sequence[Specimen],
         bounds: dict[str, float],
         noise: FloatArray,
-    ) -> Foresight:
+    ) -> BrakingPrediction:
         """Look ahead from every state of a scenario's table.
 
         Parameters

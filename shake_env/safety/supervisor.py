@@ -19,7 +19,7 @@ from shake_env.controller import Controller, decide
 from shake_env.errors import ScenarioError
 from shake_env.model.parameters import FloatArray, Specimen
 from shake_env.model.plant import LOAD_PRESSURE, SPOOL_POSITION, TABLE_VELOCITY
-from shake_env.safety.braking import ACTUATOR, Foresight
+from shake_env.safety.braking import ACTUATOR, BrakingPrediction
 from shake_env.safety.interventions import Interventions
 from shake_env.safety.table_state_observer import Estimate, ObserverMemory, TableStateObserver
 from shake_env.scenario.observation import STATE_SIGNALS
@@ -118,7 +118,7 @@ class Supervised:
         specimens = _family(scenario, mass_ratio, storey_frequency)
         self._observer = TableStateObserver.of(scenario)
         noise = self._observer.channels.noise[:ACTUATOR]
-        self._foresight = Foresight.of(scenario, specimens, bounds, noise)
+        self._foresight = BrakingPrediction.of(scenario, specimens, bounds, noise)
         # What an error of x_A does to every look ahead, (H, 4, R) [A per SI unit].
         self._sensitivity = np.abs(self._foresight.rows[:, :ACTUATOR])
         self._latest: tuple[Memory, ObserverMemory, HeldEntries] | None = None
@@ -254,7 +254,7 @@ class Supervised:
         return flow
 
     def _state(self, memory: Memory, readings: FloatArray) -> FloatArray:
-        """Return z (H, N, columns) of `Foresight`."""
+        """Return z (H, N, columns) of `BrakingPrediction`."""
         flow = self._flow(readings)
         shape = memory.force.shape
         return np.concatenate(

@@ -9,7 +9,7 @@ import pytest
 from agents.__main__ import main
 from agents.evaluation.controller_set import describe_values, get_controllers, values_to_json
 from agents.evaluation.design import design
-from agents.evaluation.robustness import controllers_of
+from agents.evaluation.robustness import controllers_with_sources
 from agents.experiments.controller_tuning import keep, tune
 from agents.policies.base_law import at_own_cost, base_law
 from agents.policies.registry import get_controller
@@ -164,10 +164,10 @@ def test_tune_compare_and_evaluate_share_a_file_on_a_changed_table(tmp_path, cap
 
 def test_robustness_designs_on_the_scenario_as_it_stands():
     """What is changed, no controller knows; the values are looked up before anything is changed."""
-    chosen, _ = controllers_of(["tvc"], LABORATORY)
+    chosen, _ = controllers_with_sources(["tvc"], LABORATORY)
     assert {each.source for each in chosen.values.values()} == {"tuned"}
     mine = TunedValues("mine.json", (entry(CHANGED),))
-    chosen, _ = controllers_of(["tvc"], CHANGED, mine)
+    chosen, _ = controllers_with_sources(["tvc"], CHANGED, mine)
     assert chosen.values["tvc"].parameters == {"bandwidth": 0.5, "damping": 0.3}
     sentence = describe_values(values_to_json(chosen.values))
     assert sentence == ("Parameter values: lqg: written rule; tvc: mine.json, tuned on this scenario.")

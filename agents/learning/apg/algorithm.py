@@ -22,7 +22,7 @@ from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedul
 from stable_baselines3.common.utils import safe_mean, update_learning_rate
 
 from agents.learning.apg.td_lambda import td_lambda_targets
-from agents.learning.apg.window_rollout import Kept, TorchTables, Window
+from agents.learning.apg.window_rollout import Kept, Window, WindowRollout
 from agents.learning.networks import GRUPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
 from shake_env.errors import ParameterError
@@ -152,7 +152,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
             None  # (N, units) of a recurrent policy, at the window's start
         )
         self.retreats = 0
-        self._tables: TorchTables | None = None
+        self._tables: WindowRollout | None = None
         if _init_setup_model:
             self._setup_model()
 
@@ -179,7 +179,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self._actor = [p for p in trained if id(p) not in critic and p is not self.policy.log_std]
 
     @property
-    def tables(self) -> TorchTables:
+    def tables(self) -> WindowRollout:
         """The environment's tables in torch."""
         if self._tables is None or self._tables.env is not self.env:
             if not isinstance(self.env, ShakeTableVecEnv):
@@ -187,7 +187,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
                     "env", type(self.env).__name__, "must be a ShakeTableVecEnv, whose plant is known"
                 )
             dtype = torch.float64 if self.plant_dtype == "float64" else torch.float32
-            self._tables = TorchTables(self.env, device=self.device, dtype=dtype)
+            self._tables = WindowRollout(self.env, device=self.device, dtype=dtype)
         return self._tables
 
     def learn(
@@ -243,7 +243,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
             update_learning_rate(self.policy.optimizer, rate * self.critic_learning_rate)
             self.logger.record("train/value_loss", self._fit_critic(window, seen))
             self._follow(self._critic)
-        self._last_obs, done, infos = self.tables.commit(window)
+        self._last_obs, done, infos = self.tables.sync_env(window)
         self._last_episode_starts = done
         self._update_info_buffer(infos, done)
         self._n_updates += 1
@@ -273,7 +273,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
             action = self.policy.action_net(self.policy.mlp_extractor.forward_actor(actor))[:, 0]
             return action, memory, critic if self.terminal_value else None
 
-        window = self.tables.roll(
+        window = self.tables.rollout(
             act,
             self.window,
             recalled=self._begin(),

@@ -67,7 +67,7 @@ class _Ahead:
     noise: torch.Tensor  # (H, N, s) of the sensors
 
 
-class TorchTables:
+class WindowRollout:
     """The tables of an environment, followed in torch.
 
     Parameters
@@ -103,7 +103,7 @@ class TorchTables:
             self._model = torch_model(simulation.model, self.like)
         return self._model
 
-    def roll(
+    def rollout(
         self,
         act: Act,
         steps: int,
@@ -226,18 +226,19 @@ class TorchTables:
             *(getattr(memory, f.name) for f in fields(SensorMemory)),
         )
 
-    def commit(
+    def sync_env(
         self, window: Window
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Put the environment at a window's end; lanes whose episode ended begin their next one.
 
         Returns
         -------
-        Observations, which lanes have just begun, and infos, as :meth:`ShakeTableVecEnv.skip` returns.
+        Observations, which environments have just begun, and infos, as
+        :meth:`ShakeTableVecEnv.advance_to` returns.
         """
         memory = {f.name: _numpy(getattr(window.memory, f.name)) for f in fields(SensorMemory)}
         seen = np.clip(_numpy(window.observation), -OBSERVATION_BOUND, OBSERVATION_BOUND)
-        return self.env.skip(
+        return self.env.advance_to(
             _numpy(window.state),
             SensorMemory(**memory),
             seen.astype(np.float32),

@@ -29,7 +29,7 @@ LEVELS = (0.0, 150.0, 300.0, 600.0)  # [N] Coulomb friction: none, and small to 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bench:
+class ComponentSetup:
     """The parts that are shown, at values a laboratory would recognise.
 
     Raises
@@ -142,7 +142,7 @@ class StoreyLoop:
     cycle_energy: FloatArray  # (cycles,) [J] dissipated from one zero of the drift to its next but one
 
 
-def growing_cycles(bench: Bench, yielding: Yielding | None = None) -> StoreyLoop:
+def growing_cycles(bench: ComponentSetup, yielding: Yielding | None = None) -> StoreyLoop:
     """Cycle the storey once through each of the bench's ductilities."""
     law = bench.yielding if yielding is None else yielding
     amplitudes = law.yield_drift * np.asarray(bench.ductilities)
@@ -158,7 +158,7 @@ def growing_cycles(bench: Bench, yielding: Yielding | None = None) -> StoreyLoop
 
 
 def steady_loop(
-    bench: Bench, yielding: Yielding, amplitudes: FloatArray
+    bench: ComponentSetup, yielding: Yielding, amplitudes: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Cycle storeys at constant amplitudes until their loops repeat.
 
@@ -184,14 +184,16 @@ def steady_loop(
     return drift[cycle], force[cycle], loop_area(force[cycle], drift[cycle])
 
 
-def elastoplastic_energy(bench: Bench, yielding: Yielding, amplitudes: FloatArray) -> FloatArray:
+def elastoplastic_energy(
+    bench: ComponentSetup, yielding: Yielding, amplitudes: FloatArray
+) -> FloatArray:
     """Return ``4 (1 - alpha) F_y (d - d_y)`` [J], what a cycle takes as the exponent grows, (loops,)."""
     excess = np.maximum(amplitudes - yielding.yield_drift, 0.0)
     force = bench.stiffness * yielding.yield_drift
     return 4.0 * (1.0 - yielding.stiffness_ratio) * force * excess
 
 
-def shaken_storey(bench: Bench, step: float = 1e-3) -> tuple[FloatArray, FloatArray]:
+def shaken_storey(bench: ComponentSetup, step: float = 1e-3) -> tuple[FloatArray, FloatArray]:
     """Return first drift [m] and base shear [N] of the bench's building under its record, (samples,).
 
     By the kernel that steps the yielding reference specimen; base shear holds the damper's share.
@@ -221,7 +223,7 @@ class TablePeriod:
 
 
 def sinusoidal_table(
-    bench: Bench, friction: Friction, levels: Sequence[float] | None = None, step: float = 5e-4
+    bench: ComponentSetup, friction: Friction, levels: Sequence[float] | None = None, step: float = 5e-4
 ) -> TablePeriod:
     """Drive tables by a sinusoidal current until they repeat, and return the last period.
 
@@ -277,7 +279,9 @@ def _falls(time: FloatArray, values: FloatArray) -> float:
     return float(time[before] + share * (time[before + 1] - time[before]))
 
 
-def valve_flow(bench: Bench, valve: ServoValve, spool: FloatArray, pressure: FloatArray) -> FloatArray:
+def valve_flow(
+    bench: ComponentSetup, valve: ServoValve, spool: FloatArray, pressure: FloatArray
+) -> FloatArray:
     """Return the flow (...) [m^3/s] at a spool position (...) [m] and load pressure (...) [Pa]."""
     flow: FloatArray = bench.plant.actuator.flow_gain * valve.opening(spool, pressure)
     return flow

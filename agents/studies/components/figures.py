@@ -26,7 +26,7 @@ from agents.figure_style import (
 from agents.studies.components.bench import (
     EXPONENTS,
     LEVELS,
-    Bench,
+    ComponentSetup,
     StoreyLoop,
     TablePeriod,
     elastoplastic_energy,
@@ -53,7 +53,7 @@ FOUR: tuple[dict[str, Any], ...] = (
 )
 
 
-def yielding_figure(bench: Bench, loop: StoreyLoop, folder: str | PathLike[str]) -> list[Path]:
+def yielding_figure(bench: ComponentSetup, loop: StoreyLoop, folder: str | PathLike[str]) -> list[Path]:
     """Draw the storey's loops: growing cycles, exponents, energy a cycle, and under a record."""
     folder = Path(folder)
     law = bench.yielding
@@ -129,7 +129,7 @@ def _loop_axes(ax: Axes) -> None:
 
 
 def friction_figure(
-    bench: Bench, own: TablePeriod, levels: TablePeriod, folder: str | PathLike[str]
+    bench: ComponentSetup, own: TablePeriod, levels: TablePeriod, folder: str | PathLike[str]
 ) -> list[Path]:
     """Draw the law, its loop on the moving table, and what it does to the table's acceleration.
 
@@ -227,7 +227,7 @@ def _accelerations(
     ax.set_ylabel("table acceleration [m/s²]")
 
 
-def valve_figure(bench: Bench, folder: str | PathLike[str]) -> list[Path]:
+def valve_figure(bench: ComponentSetup, folder: str | PathLike[str]) -> list[Path]:
     """Draw flow over load pressure, normalised and in shop units, and flow over spool."""
     folder = Path(folder)
     valve, supply, travel = bench.valve, bench.valve.supply_pressure, bench.valve.spool_limit

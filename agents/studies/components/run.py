@@ -13,7 +13,7 @@ from rich.console import Console
 from agents.studies.components.bench import (
     EXPONENTS,
     LEVELS,
-    Bench,
+    ComponentSetup,
     StoreyLoop,
     TablePeriod,
     elastoplastic_energy,
@@ -32,7 +32,7 @@ from agents.studies.components.figures import (
 from shake_env.model.nonlinearity import Friction
 
 
-def components(bench: Bench, folder: Path | None) -> dict[str, Any]:
+def components(bench: ComponentSetup, folder: Path | None) -> dict[str, Any]:
     """Run the bench; return its key numbers, and write them and the figures where there is a folder."""
     law = bench.friction
     storey = growing_cycles(bench)
@@ -55,7 +55,7 @@ def components(bench: Bench, folder: Path | None) -> dict[str, Any]:
     return found | {"files": [str(path) for path in paths]}
 
 
-def yielding_numbers(bench: Bench, loop: StoreyLoop) -> dict[str, Any]:
+def yielding_numbers(bench: ComponentSetup, loop: StoreyLoop) -> dict[str, Any]:
     """Return the storey's law and the energy of each cycle, in SI."""
     law = bench.yielding
     limits = elastoplastic_energy(bench, law, loop.amplitudes)
@@ -83,7 +83,7 @@ def yielding_numbers(bench: Bench, loop: StoreyLoop) -> dict[str, Any]:
     }
 
 
-def friction_numbers(bench: Bench, own: TablePeriod, tables: TablePeriod) -> dict[str, Any]:
+def friction_numbers(bench: ComponentSetup, own: TablePeriod, tables: TablePeriod) -> dict[str, Any]:
     """Return what friction takes from the table in a period, and the spike that it leaves, in SI."""
     free = tables.acceleration[:, [0]]
     spikes = np.max(np.abs(tables.acceleration - free), axis=0)
@@ -117,7 +117,7 @@ def friction_numbers(bench: Bench, own: TablePeriod, tables: TablePeriod) -> dic
     }
 
 
-def valve_numbers(bench: Bench) -> dict[str, Any]:
+def valve_numbers(bench: ComponentSetup) -> dict[str, Any]:
     """Return the valve's rated flow and its share at some load pressures, in SI."""
     valve = bench.valve
     orifice, travel = replace(valve, dead_band=0.0), valve.spool_limit

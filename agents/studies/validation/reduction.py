@@ -17,7 +17,7 @@ from baselines.analysis.balanced_truncation import (
     hankel_singular_values,
     order_within,
 )
-from baselines.analysis.closed_loop import CURRENT, ERRORS, ClosedLoop
+from baselines.analysis.closed_loop import CURRENT, ERRORS, ContinuousClosedLoop
 from shake_env.model.parameters import FloatArray
 from shake_env.model.plant import StateSpace
 
@@ -32,14 +32,14 @@ METHODS: dict[str, Match] = {"cut": "high", "settled": "low"}
 class ReducedLoop:
     """A closed loop, its scaled outputs without the current, and the models reduced from it."""
 
-    loop: ClosedLoop
+    loop: ContinuousClosedLoop
     outputs: tuple[str, ...]
     full: StateSpace  # scaled by the loop's sizes
     chosen: dict[str, Reduction]  # by method, at the order that is simulated
     summary: dict[str, Any]  # numbers for the JSON file
 
 
-def reduce_loop(table: str, loop: ClosedLoop) -> ReducedLoop:
+def reduce_loop(table: str, loop: ContinuousClosedLoop) -> ReducedLoop:
     """Reduce a closed loop at every order worth a row, and choose the order that is simulated."""
     outputs = tuple(name for name in loop.outputs if name != CURRENT)
     full = loop.scaled(outputs)
@@ -80,7 +80,7 @@ def _values(system: StateSpace) -> list[float]:
     return values
 
 
-def _over_own_size(loop: ClosedLoop) -> StateSpace:
+def _over_own_size(loop: ContinuousClosedLoop) -> StateSpace:
     errors = loop.scaled(ERRORS)
     rows = [StateSpace(errors.A, errors.B, errors.C[[i]], errors.D[[i]]) for i in range(len(ERRORS))]
     own = np.array([h_infinity_norm(row)[0] for row in rows])[:, None]

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from agents.seeds import VALIDATION_SEED
 from agents.studies.reproduction.tables import WEIGHTS
 from baselines.analysis.balanced_truncation import Reduction
-from baselines.analysis.closed_loop import ClosedLoop, Response, closed_loop, respond
+from baselines.analysis.closed_loop import ContinuousClosedLoop, Response, closed_loop, forced_response
 from baselines.lqr.continuous import continuous_lqr
 from baselines.lqr.sampled import LinearFeedback, sampled_lqr
 from shake_env.model.discretization import first_order_hold
@@ -198,7 +198,7 @@ def physics_states(scenario: Scenario, quake: Earthquake, trace: Trajectory) -> 
     return states
 
 
-def continuous_loops(scenario: Scenario) -> dict[str, ClosedLoop]:
+def continuous_loops(scenario: Scenario) -> dict[str, ContinuousClosedLoop]:
     """Return the closed loops of the paper's two weightings, by the number of its table."""
     found = {}
     for table, (q_1, q_2) in WEIGHTS.items():
@@ -213,11 +213,11 @@ def continuous_name(table: str) -> str:
 
 
 def continuous_response(
-    loop: ClosedLoop, scenario: Scenario, name: str, target: FloatArray
+    loop: ContinuousClosedLoop, scenario: Scenario, name: str, target: FloatArray
 ) -> tuple[Motion, Response]:
     """Return what the full closed loop makes of a target (samples,) at the physics step."""
     step, ground = scenario.physics_step, loop.plant.ground
-    found = respond(loop.system, ground, target, step, loop.index["table_velocity"])
+    found = forced_response(loop.system, ground, target, step, loop.index["table_velocity"])
     signals = {name: found.outputs[:, i] for name, i in loop.index.items() if "drift" not in name}
     signals |= {
         "table_displacement": found.displacement,
@@ -227,14 +227,14 @@ def continuous_response(
     return Motion(name, step * np.arange(len(target), dtype=np.float64), signals), found
 
 
-def _largest(outputs: FloatArray, loop: ClosedLoop, prefix: str) -> FloatArray:
+def _largest(outputs: FloatArray, loop: ContinuousClosedLoop, prefix: str) -> FloatArray:
     columns = [i for name, i in loop.index.items() if name.startswith(prefix)]
     largest: FloatArray = np.max(np.abs(outputs[:, columns]), axis=1)
     return largest
 
 
 def reduced_response(
-    loop: ClosedLoop,
+    loop: ContinuousClosedLoop,
     reduction: Reduction,
     outputs: Sequence[str],
     scenario: Scenario,
@@ -242,6 +242,6 @@ def reduced_response(
 ) -> Response:
     """Return the response of a reduced model, in SI like the full one's columns of `outputs`."""
     place = list(outputs).index("table_velocity")
-    found = respond(reduction.system, loop.plant.ground, target, scenario.physics_step, place)
+    found = forced_response(reduction.system, loop.plant.ground, target, scenario.physics_step, place)
     sizes = loop.sizes[[loop.index[name] for name in outputs]]
     return Response(found.outputs * sizes, found.displacement * sizes[place], found.noise)

@@ -9,7 +9,7 @@ import pytest
 
 from agents.__main__ import main
 from agents.evaluation.comparison import compare
-from agents.evaluation.protocol import Contestant, contestant, evaluate, optimal_cost, policy_files
+from agents.evaluation.protocol import Entry, evaluate, find_entry, optimal_cost, policy_files
 from agents.evaluation.result_files import read_results, write_result
 from agents.evaluation.scores import cost_figures
 from agents.policies.policy_file import digest, load_policy
@@ -47,7 +47,7 @@ def two_seeds(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def result(scenario, two_seeds):
-    rows = [contestant(str(two_seeds), scenario), contestant("none", scenario)]
+    rows = [find_entry(str(two_seeds), scenario), find_entry("none", scenario)]
     return evaluate(scenario, rows, earthquakes=70, resamples=200)
 
 
@@ -92,7 +92,7 @@ def test_a_result_says_what_it_was_made_of(result, two_seeds):
 def test_an_evaluation_is_repeated_exactly(scenario, two_seeds, result):
     again = evaluate(
         scenario,
-        [contestant(str(two_seeds), scenario), contestant("none", scenario)],
+        [find_entry(str(two_seeds), scenario), find_entry("none", scenario)],
         earthquakes=70,
         resamples=200,
     )
@@ -113,7 +113,7 @@ def test_test_earthquakes_are_nobody_elses():
 def test_an_unknown_specimen_is_measured_by_the_oracle():
     unknown = {"uncertainty.mass_ratio": [0.3, 0.7]}
     scenario = make_scenario("laboratory", {"duration": 2.0, "fields": unknown})
-    result = evaluate(scenario, [Contestant("none")], earthquakes=3, repeats=False, resamples=50)
+    result = evaluate(scenario, [Entry("none")], earthquakes=3, repeats=False, resamples=50)
     assert (result["yardstick"], result["reference"], result["optimal_cost"]) == (
         "oracle", "lqg", None,
     )  # fmt: skip
@@ -174,17 +174,17 @@ def test_tables_stand_between_markers_and_come_from_files(result, tmp_path):
 
 def test_entries_are_named_grouped_and_refused(scenario, two_seeds, tmp_path):
     paths = ",".join(str(two_seeds / seed) for seed in "01")
-    found = contestant(f"both={paths}", scenario)
+    found = find_entry(f"both={paths}", scenario)
     assert (found.name, len(found.policies)) == ("both", 2)
-    assert contestant("ppo", scenario).policies[0].card == load_policy(shipped_policy()).card
+    assert find_entry("ppo", scenario).policies[0].card == load_policy(shipped_policy()).card
     with pytest.raises(ScenarioError, match="did you mean 'ppo'"):
-        contestant("polcy", scenario)
+        find_entry("polcy", scenario)
     with pytest.raises(PolicyFileError, match=r"holds no policy\.safetensors or best"):
-        contestant(str(tmp_path), scenario)
+        find_entry(str(tmp_path), scenario)
     with pytest.raises(PolicyFileError, match="observation size"):
-        contestant(str(two_seeds), make_scenario("laboratory"))
+        find_entry(str(two_seeds), make_scenario("laboratory"))
     with pytest.raises(ParameterError, match="two rows have one name"):
-        evaluate(scenario, [Contestant("none"), Contestant("none")], earthquakes=2)
+        evaluate(scenario, [Entry("none"), Entry("none")], earthquakes=2)
     with pytest.raises(ParameterError, match="earthquakes = 1"):
         evaluate(scenario, [], earthquakes=1)
 

@@ -12,22 +12,21 @@ from agents.evaluation.comparison import compare
 from agents.evaluation.perturbations import (
     QUANTITIES,
     NoisyState,
-    altered,
-    changed,
     nominal_value,
+    observation_rescaling,
+    perturb,
+    perturbed_pair,
     training_range,
-    view_of,
 )
 from agents.evaluation.robustness import (
-    RIVALS,
+    DEFAULT_BASELINES,
     Grid,
-    controllers_of,
+    controllers_with_sources,
     default_controllers,
-    lost,
+    evaluate_perturbations,
+    failed,
     point,
     robustness,
-    test_earthquakes,
-    under_changes,
 )
 from agents.policies.policy_file import load_policy
 from agents.policies.registry import shipped_policy
@@ -49,7 +48,6 @@ from shake_env.errors import ParameterError, ScenarioError
 from shake_env.rollout import noise_earthquakes, rollout
 from shake_env.simulation.simulation import Simulation
 
-test_earthquakes.__test__ = False  # a function of the package, not a test
 SHORT = {"duration": 1.5}
 
 
@@ -58,11 +56,11 @@ def test_lqr_of_one_specimen_under_another_costs_what_lyapunov_says(mass, freque
     """Stationary cost of the mismatched loop, exact, against the mean over simulated earthquakes."""
     nominal = make_scenario("linear", {"duration": 40.0})
     values = {"mass_ratio": mass, "storey_frequency": frequency}
-    true = changed(nominal, values)
+    true = perturb(nominal, values)
     gain = sampled_lqr(nominal.discrete, nominal.stage_cost).gain
     expected = stationary_performance(true.discrete, true.stage_cost, gain).cost
     quakes = noise_earthquakes(nominal, 24, 5_000_000)
-    (rows,) = under_changes(lqr(nominal), nominal, quakes, [point(nominal, values)])
+    (rows,) = evaluate_perturbations(lqr(nominal), nominal, quakes, [point(nominal, values)])
     cost = np.array([row.cost for row in rows])
     # Chance: four standard errors. The start from rest, a second of forty, is smaller than these.
     error = cost.std(ddof=1) / np.sqrt(len(cost))
@@ -102,12 +100,12 @@ def test_a_controller_is_shown_si_in_the_nominal_scale(name):
     values = {"coulomb_friction": 77.0, "delay": 3.0, "damping_ratio": 0.02}
     if not nominal.uncertainty.active:
         values |= {"mass_ratio": 0.3, "storey_frequency": 5.0}
-    true = changed(nominal, values)
+    true = perturb(nominal, values)
     simulation = Simulation(true, 1)
     observation = simulation.start([0], [np.random.default_rng(1)])
     for action in (0.2, -0.1, 0.3):
         observation = simulation.step(np.array([action])).observation
-    seen = (observation * view_of(true, nominal))[0]
+    seen = (observation * observation_rescaling(true, nominal))[0]
     if nominal.sensing.full_state:
         table = slice(nominal.plant.layout.filter_states, nominal.plant.layout.filter_states + 4)
         si = seen[table] * nominal.plant.state_scale[table]
@@ -145,7 +143,7 @@ def test_printed_equations_have_neither_friction_nor_delay():
 
 def test_a_drawn_quantity_is_held_and_the_others_stay_drawn():
     scenario = make_scenario("unknown-specimen", SHORT)
-    true = changed(scenario, {"mass_ratio": 1.5})
+    true = perturb(scenario, {"mass_ratio": 1.5})
     for seed in range(3):
         before = scenario.drawn(np.random.default_rng(seed)).specimen
         after = true.drawn(np.random.default_rng(seed)).specimen
@@ -192,34 +190,34 @@ def test_lost_tests_are_counted():
     """A loop that a delay makes unstable, and a motion larger than the stroke."""
     linear = make_scenario("linear", {"duration": 4.0})
     quakes = noise_earthquakes(linear, 3, 5_000_000)
-    held, gone = under_changes(lqr(linear), linear, quakes, [(), (("delay", 7.0),)])
-    assert [lost(row) for row in held] == [False] * 3
-    assert [lost(row) for row in gone] == [True] * 3
+    held, gone = evaluate_perturbations(lqr(linear), linear, quakes, [(), (("delay", 7.0),)])
+    assert [failed(row) for row in held] == [False] * 3
+    assert [failed(row) for row in gone] == [True] * 3
     yielding = make_scenario("yielding")
     quakes = noise_earthquakes(yielding, 2, 5_000_000)
     law = make_baseline("preview-lqr", yielding)
-    (gone,) = under_changes(law, yielding, quakes, [(("amplitude", 4.0),)])
-    assert [row.broken_limit is not None for row in gone] == [lost(row) for row in gone] == [True] * 2
+    (gone,) = evaluate_perturbations(law, yielding, quakes, [(("amplitude", 4.0),)])
+    assert [row.broken_limit is not None for row in gone] == [failed(row) for row in gone] == [True] * 2
 
 
 def test_an_unchanged_scenario_has_its_own_controller_and_noise():
     scenario = make_scenario("laboratory", SHORT)
     law = make_baseline("lqg", scenario)
-    true, unaware = altered(law, scenario, {}, [1])
+    true, unaware = perturbed_pair(law, scenario, {}, [1])
     assert unaware is law and true == scenario
-    quieter = changed(scenario, {"noise": 0.0}).sensing.sensors
+    quieter = perturb(scenario, {"noise": 0.0}).sensing.sensors
     assert all(sensor.noise == sensor.bias == 0.0 for sensor in quieter)
     quakes = noise_earthquakes(scenario, 2, 5_000_000)
-    loud, _ = rollout(law, changed(scenario, {"noise": 20.0}), quakes)
+    loud, _ = rollout(law, perturb(scenario, {"noise": 20.0}), quakes)
     usual, _ = rollout(law, scenario, quakes)
     assert all(a.cost > b.cost for a, b in zip(loud, usual, strict=True))
 
 
 def test_who_is_compared_unless_told_otherwise():
-    for name, rivals in RIVALS.items():
+    for name, rivals in DEFAULT_BASELINES.items():
         assert set(default_controllers(make_scenario(name))) >= set(rivals)
     assert "apg" in default_controllers(make_scenario("laboratory"))
-    chosen, sources = controllers_of((), make_scenario("linear"))
+    chosen, sources = controllers_with_sources((), make_scenario("linear"))
     assert next(iter(chosen.controllers)) == "lqr"
     renamed = make_scenario("laboratory", {"fields": {"name": "mytable"}})
     assert default_controllers(renamed) == default_controllers(make_scenario("laboratory"))
@@ -301,16 +299,16 @@ def test_what_is_said_follows_from_the_numbers():
     result = made_up(
         {"lqr": [0, 0, 0], "mine": [0, 0, 2]}, {"lqr": [1.0, 1.0, 2.0], "mine": [0.9, 1.3, 99.0]}
     )
-    lost, dearer = findings(result, "mine")
-    assert re.findall(r"[\d.]*\d", lost) == ["2", "6", "2", "2"] and "loop delay" in lost
+    failures, dearer = findings(result, "mine")
+    assert re.findall(r"[\d.]*\d", failures) == ["2", "6", "2", "2"] and "loop delay" in failures
     assert re.findall(r"[\d.]*\d", dearer) == ["1", "1.30", "1"] and "loop delay" in dearer
     assert "lqr" in dearer
     assert "| loop delay, 0 to 2 ms | 0 ms | 1.00 | 0.90 to 1.30; lost at 2 ms |" in markdown(result)
     good = made_up(
         {"lqr": [0, 0, 1], "mine": [0, 0, 0]}, {"lqr": [1.0, 1.0, 9.0], "mine": [0.9, 0.8, 0.7]}
     )
-    lost, dearer = findings(good, "mine")
-    assert re.findall(r"[\d.]*\d", lost) == ["6"] and "none" in lost  # of the tests
+    failures, dearer = findings(good, "mine")
+    assert re.findall(r"[\d.]*\d", failures) == ["6"] and "none" in failures  # of the tests
     assert re.findall(r"[\d.]*\d", dearer) == ["2"] and "delay" not in dearer  # 2 %: nowhere
 
 
@@ -382,7 +380,7 @@ def test_all_runs_what_does_not_hold_any_more(tmp_path, monkeypatch, capsys):
     assert main(["robustness", "--all"]) == 2
     assert "run --all in the project's folder" in capsys.readouterr().err
     monkeypatch.setattr("agents.cli.robustness.SHOWN", ("linear",))
-    monkeypatch.setattr("agents.evaluation.robustness.RIVALS", {})
+    monkeypatch.setattr("agents.evaluation.robustness.DEFAULT_BASELINES", {})
     monkeypatch.setattr("agents.evaluation.robustness.SHIPPED", {})
     page, file = tmp_path / "docs" / "robustness.md", tmp_path / "docs/results/robustness_linear.json"
     page.parent.mkdir()

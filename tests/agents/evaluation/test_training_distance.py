@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from agents.evaluation.comparison import compare
-from agents.evaluation.protocol import contestant, evaluate
+from agents.evaluation.protocol import evaluate, find_entry
 from agents.evaluation.training_distance import PARAMETERS, training_distance, training_warning
 from agents.policies.policy_file import load_policy
 from agents.policies.registry import SHIPPED, shipped_policy
@@ -93,7 +93,7 @@ def test_compare_and_evaluate_warn():
     assert any(note.startswith("Warning: policy") for note in found.notes())
     near = compare(make_scenario("linear", {"duration": 0.5}), ["ppo"], noise=2, records=False)
     assert near.warnings == []
-    result = evaluate(far, [contestant("ppo", far)], earthquakes=2, repeats=False, resamples=10)
+    result = evaluate(far, [find_entry("ppo", far)], earthquakes=2, repeats=False, resamples=10)
     assert "far outside" in result["warnings"][0]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agents.__main__ import main
-from agents.evaluation.protocol import contestant, evaluate
+from agents.evaluation.protocol import evaluate, find_entry
 from agents.experiments.recipes import ARENAS, RECIPES, Arena, Recipe
 from agents.experiments.results import evaluate_arena
 from agents.experiments.runner import Campaign, plan, plan_rows
@@ -22,7 +22,7 @@ from agents.training.algorithm_options import PPOOptions
 from agents.training.checkpoint import checkpoints
 from agents.training.config import TrainConfig
 from agents.training.model_factory import ALGORITHMS
-from agents.training.run import go_on, resume, train
+from agents.training.run import resume, train, train_or_resume
 from shake_env.errors import ParameterError, RunDirectoryError, ScenarioError
 
 SMALL = TrainConfig(
@@ -156,7 +156,7 @@ def test_a_run_of_another_version_is_foreign_and_never_touched(tmp_path):
     (task,) = plan([GOOD], tmp_path)
     assert task.state == "foreign"
     with pytest.raises(RunDirectoryError):
-        go_on(SMALL, run)
+        train_or_resume(SMALL, run)
     assert (run / "policy.safetensors").read_bytes() == b"weights"
 
 
@@ -170,7 +170,7 @@ def test_a_run_that_was_interrupted_before_its_first_checkpoint_begins_anew(tmp_
 
 def test_policies_cannot_take_a_controllers_name(campaigned):
     scenario = ScenarioOptions(duration=0.5).build()
-    row = contestant(f"lqr={campaigned[0] / 'linear/ppo/0'}", scenario)
+    row = find_entry(f"lqr={campaigned[0] / 'linear/ppo/0'}", scenario)
     with pytest.raises(ParameterError, match="NAME=PATH"):
         evaluate(scenario, [row], earthquakes=2)
 
@@ -213,7 +213,7 @@ def test_recipes_are_sound():
         scenario = arena.options.build()
         assert (arena.trained_on or arena.name) in {recipe.arena for recipe in RECIPES}
         for rival in arena.rivals:
-            assert contestant(rival, scenario).name == rival
+            assert find_entry(rival, scenario).name == rival
     assert {recipe.config.algorithm for recipe in RECIPES if recipe.arena == "linear"} == set(ALGORITHMS)
 
 

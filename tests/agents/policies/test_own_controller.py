@@ -7,7 +7,7 @@ import pytest
 
 from agents.__main__ import main
 from agents.evaluation.comparison import compare
-from agents.evaluation.protocol import contestant, evaluate
+from agents.evaluation.protocol import evaluate, find_entry
 from agents.experiments.controller_tuning import tune
 from agents.policies.own_controller import is_own_controller, own_baseline
 from agents.policies.registry import get_controller
@@ -135,7 +135,7 @@ def test_compare_and_evaluate_run_it(file):
     costs = {each: [m.cost for m in rows] for each, rows in found.episodes.items()}
     assert costs[f"{file}:still"] == costs["none"] and costs[name] != costs["none"]
     assert found.values[name].source == "rule"
-    result = evaluate(SHORT, [contestant(name, SHORT)], earthquakes=2, repeats=False, resamples=10)
+    result = evaluate(SHORT, [find_entry(name, SHORT)], earthquakes=2, repeats=False, resamples=10)
     assert name in [row["controller"] for row in result["rows"]]
 
 

@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from agents.__main__ import main
-from agents.evaluation.protocol import contestant, evaluate
+from agents.evaluation.protocol import evaluate, find_entry
 from agents.evaluation.result_files import write_result
 from agents.policies.policy_file import PolicyFile, load_policy
 from agents.policies.registry import shipped_policy
@@ -26,7 +26,7 @@ def evaluated(tmp_path_factory):
     PolicyFile(**{**vars(policy), "card": {**policy.card, "curve": curve}}).save(file)
     scenario = make_scenario("linear", {"duration": 1.0})
     result = evaluate(
-        scenario, [contestant(str(file), scenario)], earthquakes=3, repeats=False, resamples=50
+        scenario, [find_entry(str(file), scenario)], earthquakes=3, repeats=False, resamples=50
     )
     write_result(result, folder / "result.json")
     return folder, file, result

@@ -12,7 +12,13 @@ from agents.__main__ import main
 from agents.evaluation.comparison import compare, summarise
 from agents.evaluation.fidelity import Fidelity
 from agents.evaluation.results import Comparison
-from agents.reporting.report import Gathered, channels, make_report, policy_files_of, unique_labels
+from agents.reporting.report import (
+    HistoryCollector,
+    channels,
+    make_report,
+    policy_files_of,
+    unique_labels,
+)
 from agents.reporting.report_data import page_data
 from agents.reporting.report_estimates import Drawn, TransferEstimate, lqr_frontier
 from agents.reporting.report_page import page, unbroken, write_report
@@ -31,7 +37,7 @@ VOID = {"meta", "link", "br", "img", "input", "hr", "line"}
 
 
 def reported(scenario, names=("none",), **options):
-    gathered = Gathered(scenario)
+    gathered = HistoryCollector(scenario)
     found = compare(scenario, names, on_histories=gathered, **options)
     return make_report(found, gathered, "shake compare")
 

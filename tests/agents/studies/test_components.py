@@ -14,7 +14,7 @@ from agents.__main__ import main
 from agents.studies.components.bench import (
     LEVELS,
     SAMPLES,
-    Bench,
+    ComponentSetup,
     drift_path,
     elastoplastic_energy,
     growing_cycles,
@@ -31,7 +31,7 @@ from shake_env.model.nonlinearity import Friction, ServoValve, Yielding
 
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs" / "components.md"
-BENCH = Bench()
+BENCH = ComponentSetup()
 LAW = BENCH.yielding
 COULOMB = Friction(coulomb=150.0)
 

@@ -25,7 +25,7 @@ from agents.studies.validation.responses import (
 from agents.studies.validation.run import SHOWN, validate
 from agents.studies.validation.tables import peaks_table
 from baselines.analysis.balanced_truncation import balanced_truncation
-from baselines.analysis.closed_loop import closed_loop, respond
+from baselines.analysis.closed_loop import closed_loop, forced_response
 from baselines.lqr.continuous import continuous_lqr
 from shake_env.model.parameters import Actuator, GroundFilter, ModelEquations, Specimen
 from shake_env.model.plant import CoupledPlant
@@ -61,7 +61,7 @@ def test_response_equals_an_ode_solver_on_the_driven_plant(highpass):
     gain = continuous_lqr(plant, q_1=1e3, q_2=1e-3).gain  # poles up to 2.8e5 rad/s
     target = wave(250)
     loop = closed_loop(plant, gain)
-    found = respond(loop.system, plant.ground, target, STEP, loop.index["table_velocity"])
+    found = forced_response(loop.system, plant.ground, target, STEP, loop.index["table_velocity"])
 
     spline = CubicSpline(STEP * np.arange(len(target)), target, bc_type="natural")
     v, x, X = (spline.antiderivative(k) for k in (1, 2, 3))
@@ -110,7 +110,7 @@ def test_response_of_a_reduced_model_equals_scipy_lsim():
     full = loop.scaled(loop.outputs[:-1])
     small = balanced_truncation(full, 7, "low").system
     target = wave(3000)
-    found = respond(small, plant.ground, target, STEP, loop.index["table_velocity"])
+    found = forced_response(small, plant.ground, target, STEP, loop.index["table_velocity"])
     # lsim runs its input straight between samples, the response along a spline: equal to step squared.
     _, expected, _ = lsim((small.A, small.B, small.C, small.D), found.noise, STEP * np.arange(3000))
     size = np.max(np.abs(expected), axis=0)
@@ -121,7 +121,7 @@ def test_a_target_that_does_not_begin_at_zero_is_led_up_to():
     plant = plant_with()
     loop = closed_loop(plant, continuous_lqr(plant, q_1=1e3, q_2=1e-3).gain)
     target = 0.01 + wave(500)
-    found = respond(loop.system, plant.ground, target, STEP, loop.index["table_velocity"])
+    found = forced_response(loop.system, plant.ground, target, STEP, loop.index["table_velocity"])
     error = found.outputs[:, loop.index["acceleration_error"]]
     assert np.max(np.abs(error)) < 0.01 * np.max(target)
 

@@ -14,7 +14,7 @@ from safetensors import safe_open
 from safetensors.numpy import save_file
 
 from agents.__main__ import main
-from agents.evaluation.protocol import contestant
+from agents.evaluation.protocol import find_entry
 from agents.experiments.recipes import Recipe
 from agents.experiments.runner import Task
 from agents.policies.registry import get_controller
@@ -24,7 +24,7 @@ from agents.training.algorithm_options import PPOOptions
 from agents.training.checkpoint import checkpoints, load_checkpoint
 from agents.training.config import TrainConfig
 from agents.training.plain_state import generator, generator_state, joined, split
-from agents.training.run import finished, go_on, resume, train, training_tables
+from agents.training.run import finished, resume, train, train_or_resume, training_tables
 from shake_env.errors import PolicyFileError, RunDirectoryError, ShakeError
 from shake_env.scenario.overrides import make_scenario
 
@@ -91,7 +91,7 @@ def test_no_file_of_a_run_is_unpickled(cut, tmp_path):
     earlier.mkdir(parents=True)
     for name in ("state.pt", "model.zip"):
         torch.save(Trap(sprung), earlier / name)
-    for again in (lambda: resume(cut), lambda: go_on(CONFIG, cut), lambda: train(CONFIG, cut)):
+    for again in (lambda: resume(cut), lambda: train_or_resume(CONFIG, cut), lambda: train(CONFIG, cut)):
         with pytest.raises(RunDirectoryError, match=r"hold pickles, which run code.*new directory"):
             again()
     assert not sprung.exists()
@@ -204,7 +204,7 @@ def test_a_run_that_was_killed_as_it_began_begins_or_goes_on(trained, tmp_path):
     short = replace(CONFIG, total_timesteps=64)
     (tmp_path / "a").mkdir()  # killed just after mkdir
     train(short, tmp_path / "a")
-    for again in (lambda run: train(short, run), resume, lambda run: go_on(short, run)):
+    for again in (lambda run: train(short, run), resume, lambda run: train_or_resume(short, run)):
         run = tmp_path / "b"
         run.mkdir()
         shutil.copy(tmp_path / "a" / "config.json", run)
@@ -241,7 +241,7 @@ def test_a_result_counts_only_when_it_is_complete(trained, tmp_path):
         task.state = "waiting"
         task.look()
         assert task.state == "begun"
-    go_on(CONFIG, run)
+    train_or_resume(CONFIG, run)
     assert finished(run)
     assert json.loads((run / "result.json").read_text())["cost"] == json.loads(text)["cost"]
 
@@ -249,7 +249,7 @@ def test_a_result_counts_only_when_it_is_complete(trained, tmp_path):
 def test_a_second_process_is_refused(cut):
     before = evaluations(cut)
     with locked(cut):
-        for again in (lambda: resume(cut), lambda: go_on(CONFIG, cut)):
+        for again in (lambda: resume(cut), lambda: train_or_resume(CONFIG, cut)):
             with pytest.raises(RunDirectoryError, match="in use by process"):
                 again()
     assert evaluations(cut) == before
@@ -279,16 +279,16 @@ def test_options_that_differ_from_the_runs_own_are_refused_by_name(cut, capsys):
     assert main([*words, *same]) == 0
     assert json.loads(capsys.readouterr().out)["steps"] == 192
     with pytest.raises(RunDirectoryError, match="seed is 0, given 5"):
-        go_on(replace(CONFIG, seed=5), cut)
+        train_or_resume(replace(CONFIG, seed=5), cut)
 
 
 def test_an_unfinished_runs_best_policy_can_be_compared(cut):
     scenario = CONFIG.scenario.build()
     policy = get_controller(str(cut), scenario)
     assert policy.card["config"]["seed"] == 0
-    assert contestant(str(cut), scenario).sources[0]["algorithm"] == "ppo"
+    assert find_entry(str(cut), scenario).sources[0]["algorithm"] == "ppo"
     with pytest.raises(PolicyFileError, match="control rate"):
         get_controller(str(cut), make_scenario("linear", {"control_rate": 500.0}))
     (cut / "best.safetensors").unlink()
     with pytest.raises(PolicyFileError, match=r"holds no policy\.safetensors or best\.safetensors"):
-        contestant(str(cut), scenario)
+        find_entry(str(cut), scenario)

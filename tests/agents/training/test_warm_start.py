@@ -25,7 +25,7 @@ from agents.training.config import TrainConfig
 from agents.training.model_factory import new_model
 from agents.training.policy_export import export_policy
 from agents.training.run import resume, train, training_tables
-from agents.training.warm_start import begin_with
+from agents.training.warm_start import load_actor_weights
 from shake_env.errors import PolicyFileError
 
 FRICTION = ScenarioOptions(set=("nonlinearity.friction.coulomb=300",))
@@ -80,7 +80,7 @@ def test_a_model_acts_as_the_policy_that_it_begins_with(giver, taker):
         **{taker.algorithm.replace("-", "_"): replace(taker.chosen, residual_scale=policy.authority)},
     )
     model, env = model_of(taker, direct=policy.direct)
-    begin_with(model, env, policy)
+    load_actor_weights(model, env, policy)
     begun = export_policy(model, env, {})
     seen = np.random.default_rng(0).normal(size=(3, 50, policy.observation_size)).astype(np.float32)
     one = two = None
@@ -95,7 +95,7 @@ def test_a_correction_behind_an_estimator_goes_on():
     policy = load_policy(shipped_policy("apg", "unknown-specimen"))
     scenario = ScenarioOptions("unknown-specimen")
     model, env = model_of(TrainConfig(algorithm="apg", scenario=scenario, apg=FREE))
-    begin_with(model, env, policy)
+    load_actor_weights(model, env, policy)
     begun = export_policy(model, env, {})
     for ours, theirs in zip(begun.weights, policy.weights, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-9)
@@ -173,7 +173,7 @@ def test_what_does_not_fit_is_refused_and_leaves_nothing_behind(config, wrong):
     model, env = model_of(config)
     before = export_policy(model, env, {})
     with pytest.raises(PolicyFileError, match=wrong):
-        begin_with(model, env, given)
+        load_actor_weights(model, env, given)
     for ours, theirs in zip(export_policy(model, env, {}).weights, before.weights, strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
@@ -181,11 +181,11 @@ def test_what_does_not_fit_is_refused_and_leaves_nothing_behind(config, wrong):
 def test_a_direct_path_and_biases_need_their_place():
     direct = policy_of(TrainConfig(algorithm="apg"))
     with pytest.raises(PolicyFileError, match="direct path"):
-        begin_with(*model_of(TrainConfig()), direct)
+        load_actor_weights(*model_of(TrainConfig()), direct)
     biased = policy_of(TrainConfig(ppo=PPOOptions(actor_bias=True)))
     biased.biases[0][:] = 0.1
     with pytest.raises(PolicyFileError, match=r"biases.*no-scale-free"):
-        begin_with(*model_of(TrainConfig()), biased)
+        load_actor_weights(*model_of(TrainConfig()), biased)
 
 
 def test_a_run_that_cannot_begin_makes_no_directory(tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import dlsim
 
-from baselines.analysis.batch_response import mean_squares, respond
+from baselines.analysis.batch_response import forced_response, mean_squares
 from shake_env.errors import ParameterError
 from shake_env.model.discretization import DiscreteStateSpace
 
@@ -22,7 +22,7 @@ def system(n=6, m=2, p=3):
 def test_respond_is_dlsim(block):
     model, rng = system(), np.random.default_rng(1)
     inputs, initial = rng.normal(size=(103, 2, 4)), rng.normal(size=(6, 4))
-    found = respond(model, inputs, initial, block)
+    found = forced_response(model, inputs, initial, block)
     assert found.shape == (103, 3, 4)
     squares = mean_squares(model, inputs, initial, block)
     np.testing.assert_allclose(squares, np.mean(found**2, axis=0), rtol=1e-12)
@@ -46,18 +46,22 @@ def test_states_that_reach_no_output_are_left_out():
     _, expected, _ = dlsim(
         (model.A, model.B, model.C, model.D, model.dt), inputs[..., 0], x0=initial[:, 0]
     )
-    np.testing.assert_allclose(respond(model, inputs, initial)[..., 0], expected, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        forced_response(model, inputs, initial)[..., 0], expected, rtol=0, atol=1e-13
+    )
     moved = initial + np.array([[0.0], [0.0], [0.0], [1.0]])
-    np.testing.assert_array_equal(respond(model, inputs, moved), respond(model, inputs, initial))
+    np.testing.assert_array_equal(
+        forced_response(model, inputs, moved), forced_response(model, inputs, initial)
+    )
 
 
 def test_at_rest_by_default_and_shapes_are_checked():
     model, inputs = system(), np.zeros((5, 2, 3))
-    assert not respond(model, inputs).any()
+    assert not forced_response(model, inputs).any()
     for wrong in (inputs[:, :1], inputs[0]):
         with pytest.raises(ParameterError, match="inputs shape"):
-            respond(model, wrong)
+            forced_response(model, wrong)
     with pytest.raises(ParameterError, match="initial shape"):
-        respond(model, inputs, np.zeros((6, 2)))
+        forced_response(model, inputs, np.zeros((6, 2)))
     with pytest.raises(ParameterError, match="block"):
-        respond(model, inputs, block=0)
+        forced_response(model, inputs, block=0)

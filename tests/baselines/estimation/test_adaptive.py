@@ -14,7 +14,7 @@ from baselines.lqr.preview import PreviewFeedback, preview_lqr
 from shake_env import Sensing, Sensor, Uncertainty, make_scenario
 from shake_env.errors import ParameterError, ScenarioError
 from shake_env.model.plant import REFERENCE_CURRENT
-from shake_env.rollout import noise_earthquakes, rollout, true_plants
+from shake_env.rollout import noise_earthquakes, rollout, sampled_plants
 from shake_env.scenario.observation import STATE_SIGNALS
 
 CLEAN = Sensing(sensors=tuple(Sensor(signal=name) for name in SIGNALS), preview=0.1)
@@ -49,7 +49,7 @@ def test_it_finds_the_specimen_within_seconds_of_shaking(unknown, bank, sensing)
     watched = Watched(law)
     rollout(watched, scenario, quakes)
     mass, frequency = law.estimate(watched.memory[0])
-    true = [p.specimen.uniform_values() for p in true_plants(scenario, quakes)]
+    true = [p.specimen.uniform_values() for p in sampled_plants(scenario, quakes)]
     true_frequency = np.array([t["storey_frequency"] for t in true])
     true_mass = np.array([t["mass_ratio"] for t in true])
     # Half a step of the frequency's grid is 0.125 Hz. At low frequencies the shear tells the total mass,

@@ -11,7 +11,7 @@ from baselines.lqr.preview import PreviewFeedback
 from baselines.lqr.sampled import lqr
 from shake_env import NoControl, make_scenario
 from shake_env.errors import ParameterError
-from shake_env.rollout import noise_earthquakes, recorded_earthquakes, rollout, true_plants
+from shake_env.rollout import noise_earthquakes, recorded_earthquakes, rollout, sampled_plants
 from shake_env.scenario.uncertainty import Uncertainty, Uniform
 from shake_env.simulation.simulation import Simulation
 
@@ -23,7 +23,7 @@ def test_true_plants_are_those_that_the_roll_out_draws():
     simulation.start(
         range(5), [np.random.default_rng(q.seed) for q in quakes], [q.motion for q in quakes]
     )
-    for expected, found in zip(simulation.fleet.plants, true_plants(scenario, quakes), strict=True):
+    for expected, found in zip(simulation.fleet.plants, sampled_plants(scenario, quakes), strict=True):
         np.testing.assert_allclose(found.specimen.masses, expected.specimen.masses)
         np.testing.assert_allclose(found.specimen.stiffnesses, expected.specimen.stiffnesses)
 

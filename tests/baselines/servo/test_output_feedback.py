@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from baselines.servo.output_feedback import ClosedLoop, LinearLaw, NominalTable, OutputFeedback
+from baselines.servo.output_feedback import LinearLaw, NominalTable, OutputFeedback, SampledClosedLoop
 from baselines.servo.pid import PIDGains, PIDRule, acceleration_response, pid, pid_law, ultimate_point
 from baselines.servo.signals import SIGNALS, TABLE_SIGNALS, SignalReader
 from shake_env.errors import NumericalError, ParameterError, ScenarioError
@@ -123,7 +123,7 @@ def test_ultimate_gain_is_where_the_closed_loop_begins_to_oscillate():
     for factor, stable in ((0.999, True), (1.001, False)):
         D = np.zeros(SIGNALS)
         D[0], D[7] = -factor * point.gain, factor * point.gain
-        assert (ClosedLoop(table, LinearLaw.static(D)).radius < 1.0) is stable
+        assert (SampledClosedLoop(table, LinearLaw.static(D)).radius < 1.0) is stable
     # Nyquist at that frequency: the open loop passes through -1.
     open_loop = point.gain * table.response(np.array([1.0 / point.period]))[0, 0]
     assert open_loop == pytest.approx(-1.0, abs=1e-3)
@@ -134,7 +134,7 @@ def test_rules_make_stable_loops_or_say_so():
     table = NominalTable.of(scenario)
     for rule in (PIDRule(bandwidth=1.0), PIDRule(share=0.2)):
         law = pid_law(rule.gains(scenario), scenario.control_period)
-        assert ClosedLoop(table, law).radius < 1.0
+        assert SampledClosedLoop(table, law).radius < 1.0
     with pytest.raises(NumericalError, match="lower share"):
         PIDRule(share=0.6).gains(scenario)  # Ziegler and Nichols' own share rings the oil column
     with pytest.raises(ParameterError, match="give one"):
@@ -145,7 +145,7 @@ def test_closed_loop_response_is_what_a_simulated_sine_shows():
     scenario = linear_laboratory()
     gains = PIDRule(bandwidth=1.0).gains(scenario)
     frequency = 6.0
-    loop = ClosedLoop(NominalTable.of(scenario), pid_law(gains, scenario.control_period))
+    loop = SampledClosedLoop(NominalTable.of(scenario), pid_law(gains, scenario.control_period))
     controller, simulation = pid(scenario, gains), Simulation(scenario, 1)
     simulation.start([0], [np.random.default_rng(0)])
     reader_rows = SignalReader(scenario)._rows[:4, 5:]  # x_W to target signals

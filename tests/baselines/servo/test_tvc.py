@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from baselines.servo.output_feedback import ClosedLoop, LinearLaw, NominalTable
+from baselines.servo.output_feedback import LinearLaw, NominalTable, SampledClosedLoop
 from baselines.servo.tvc import FEEDBACK, TVCDesign, feedback_gains, tvc, tvc_law
 from shake_env.errors import NumericalError, ParameterError
 from shake_env.scenario.observation import Sensing, Sensor
@@ -18,7 +18,9 @@ def decibels(response):
 def test_the_three_poles_are_placed():
     scenario, design = laboratory(), TVCDesign(position_bandwidth=1.5, oil_damping=0.25)
     table = NominalTable.of(scenario)
-    poles = np.log(ClosedLoop(table, tvc_law(scenario, design)).poles.astype(complex)) / table.period
+    poles = (
+        np.log(SampledClosedLoop(table, tvc_law(scenario, design)).poles.astype(complex)) / table.period
+    )
     omega = 2.0 * np.pi * scenario.plant.natural_frequencies[-1]
     pair = omega * (-0.25 + 1j * np.sqrt(1.0 - 0.25**2))
     for wanted in (-2.0 * np.pi * 1.5, pair, np.conj(pair)):
@@ -29,10 +31,10 @@ def test_acceleration_response_is_flat_over_the_band():
     scenario = laboratory()
     table = NominalTable.of(scenario)
     gentle = TVCDesign(oil_damping=0.06, highest=5.0)
-    ripple = decibels(ClosedLoop(table, tvc_law(scenario, gentle)).response(gentle.band))
+    ripple = decibels(SampledClosedLoop(table, tvc_law(scenario, gentle)).response(gentle.band))
     assert ripple.min() > -0.3 and ripple.max() < 1.2
     default = TVCDesign()
-    loop = ClosedLoop(table, tvc_law(scenario, default))
+    loop = SampledClosedLoop(table, tvc_law(scenario, default))
     ripple = decibels(loop.response(default.band))
     assert ripple.min() > -1.3 and ripple.max() < 2.3
     assert decibels(loop.response(np.geomspace(10.0, 99.0, 400))).max() < 10.0
@@ -40,7 +42,7 @@ def test_acceleration_response_is_flat_over_the_band():
     law = tvc_law(scenario, default)
     errors_alone = np.where(np.arange(8) < 5, law.D, 0.0)
     errors_alone[[7, 6, 5]] = -law.D[FEEDBACK]
-    alone = ClosedLoop(table, LinearLaw.static(errors_alone)).response(default.band)
+    alone = SampledClosedLoop(table, LinearLaw.static(errors_alone)).response(default.band)
     assert np.mean(np.abs(alone - 1.0)) > 4.0 * np.mean(np.abs(loop.response(default.band) - 1.0))
 
 
@@ -49,7 +51,7 @@ def test_feed_forward_is_the_flattest_of_its_kind():
     table, law = NominalTable.of(scenario), tvc_law(scenario, design)
 
     def ripple(D):
-        loop = ClosedLoop(table, LinearLaw.static(D))
+        loop = SampledClosedLoop(table, LinearLaw.static(D))
         return np.sum(np.abs(loop.response(design.band) - 1.0) ** 2)
 
     best = ripple(law.D)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from kernel_cases import EVERYTHING, PARTS, dynamics_of, scale_of
 
 from agents.learning.apg.torch_plant import CompiledPeriod, torch_model
-from agents.learning.apg.window_rollout import TorchTables
+from agents.learning.apg.window_rollout import WindowRollout
 from agents.learning.vec_env import ShakeTableVecEnv
 from shake_env import make_scenario, numba_support
 from shake_env.dynamics.nonlinear import NonlinearDynamics
@@ -139,7 +139,7 @@ def test_a_window_through_the_compiled_plant_is_the_references(name, overrides, 
     def window(compiled):
         monkeypatch.setattr(numba_support, "COMPILED", compiled)
         env.restore(start)
-        tables = TorchTables(env)
+        tables = WindowRollout(env)
         assert isinstance(tables.model.dynamics, CompiledPeriod) == compiled
         shown = env.observation.shape[1]
         weights = torch.linspace(-0.01, 0.01, shown, dtype=torch.float64, requires_grad=True)

@@ -10,7 +10,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 
 from agents.learning.apg.algorithm import AnalyticPolicyGradient
 from agents.learning.apg.torch_plant import PeriodMap, torch_model
-from agents.learning.apg.window_rollout import TorchTables
+from agents.learning.apg.window_rollout import WindowRollout
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_row
 from agents.training.algorithm_options import APGOptions
@@ -47,7 +47,7 @@ def test_gradient_of_a_windows_cost_agrees_with_finite_differences(name, overrid
     model.slow_policy.double()
     for _ in range(4):  # away from rest
         _, window, _ = model.window_loss()
-        model.tables.commit(window)
+        model.tables.sync_env(window)
     model._last_episode_starts[:] = False
     start, memory = model.env.snapshot(), model.memory
 
@@ -90,7 +90,7 @@ def test_a_window_is_what_the_environment_does_under_the_same_policy(name, memor
             observation, expected, begun, _ = other.step(action)
             # Actions are float32, and the oil column turns their rounding into acceleration.
             np.testing.assert_allclose(rewards[t], expected, rtol=2e-4, atol=1e-8)
-        shown, done, _ = model.tables.commit(window)
+        shown, done, _ = model.tables.sync_env(window)
         np.testing.assert_allclose(shown, observation, rtol=1e-3, atol=1e-4)
         assert not done.any()
         model._last_episode_starts = done
@@ -103,7 +103,7 @@ def test_a_motion_that_ends_within_a_window_counts_to_its_end_and_the_next_one_b
     _, window, _ = model.window_loss()
     assert window.steps.tolist() == [12, 12, 5]
     assert (window.rewards[5:, 2] == 0.0).all() and (window.rewards[:5, 2] < 0.0).all()
-    shown, done, infos = model.tables.commit(window)
+    shown, done, infos = model.tables.sync_env(window)
     assert done.tolist() == [False, True, True]
     assert infos[2]["episode"] == {"r": pytest.approx(window.returns[2]), "l": 5}
     assert model.env.simulation.step_count.tolist() == [12, 0, 0]
@@ -123,7 +123,7 @@ def test_a_broken_limit_is_paid_for_and_ends_the_episode():
     steps = model.env.simulation.episode_steps[1]
     dearest = scenario.limits.cost_factor * scenario.stage_cost.motionless(scenario.plant)
     assert -window.returns[1] >= dearest * (steps - 1)
-    _, done, infos = model.tables.commit(window)
+    _, done, infos = model.tables.sync_env(window)
     assert done.tolist() == [False, True] and infos[1]["broken_limit"] == "table_displacement"
 
 
@@ -286,7 +286,7 @@ def test_single_precision_follows_double():
     start = model.env.snapshot()
     double = model.window_loss()[0].item()
     model.env.restore(start)
-    model._tables = TorchTables(model.env, dtype=torch.float32)
+    model._tables = WindowRollout(model.env, dtype=torch.float32)
     # Eps of 1e-7 a step through an oil column whose pressure is a difference of large flows.
     assert model.window_loss()[0].item() == pytest.approx(double, rel=1e-3)
 
