@@ -39,7 +39,7 @@ def sb3_model(policy: PolicyFile) -> tuple[Any, ShakeTableVecEnv]:
     # SB3 warns of minibatches that a single table's roll-out does not fill; none is taken here. A file's
     # layers are wider than its run's where it is averaged with its mirror image.
     ppo = replace(config.ppo, batch_size=config.ppo.n_steps)
-    config = replace(config, ppo=ppo, hidden=tuple(len(bias) for bias in policy.biases[:-1]))
+    config = replace(config, ppo=ppo, net_arch=tuple(len(bias) for bias in policy.biases[:-1]))
     scenario = config.scenario.build()
     env = ShakeTableVecEnv(
         scenario,

@@ -89,7 +89,7 @@ def update(way: str, kind: str) -> float:
     )
     model = new_model(config, scenario, env)
     if not gradient:
-        model.device = torch.device(kind)  # recipes keep PPO's small networks on the CPU
+        model.device = torch.device(kind)  # experiments keep PPO's small networks on the CPU
         model._setup_model()
     periods = 96 if gradient else config.ppo.n_steps
     taken = []

@@ -113,6 +113,7 @@ OPTIONS = {
     "validate-transients": {"noise": "num-noise-motions"},
 }
 
+RESULT_KEYS = {"arena": "evaluation_task", "yardstick": "normaliser"}  # of result files
 # What packages of 0.1 handed on, by package.
 PYTHON = {
     "agents.evaluation": {

@@ -18,7 +18,7 @@ from shake_env.errors import ParameterError, ShakeError
 
 @dataclass(frozen=True, kw_only=True)
 class RunExperiments(CommandOptions):
-    """Train every recipe with every seed and evaluate the policies; resume an interrupted campaign.
+    """Train every experiment with every seed and evaluate the policies; resume an interrupted campaign.
 
     Try:
       shake run-experiments --dry-run
@@ -30,7 +30,7 @@ class RunExperiments(CommandOptions):
     experiments: tuple[str, ...] = ()
     """Recipes as SCENARIO/ALGORITHM, or patterns such as linear/*; none: all."""
     seeds: int | None = None
-    """Seeds of each recipe (unset: as many as it asks for)."""
+    """Seeds of each experiment (unset: as many as it asks for)."""
     processes: int = 2
     """Runs at a time, each of one thread."""
     folder: Path = Path("runs/campaign")
@@ -38,7 +38,7 @@ class RunExperiments(CommandOptions):
     results: Path = Path("out/campaign")
     """Folder of the results, a JSON file for each scenario (the documentation's: docs/results)."""
     evaluate: bool = True
-    """Whether the scenarios of these recipes are evaluated when their runs are done."""
+    """Whether the scenarios of these experiments are evaluated when their runs are done."""
     rerun: bool = False
     """Whether all rows are evaluated anew, of the policies that there are, rather than the new ones."""
     dry_run: bool = False
@@ -46,14 +46,14 @@ class RunExperiments(CommandOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Run, evaluate, and say what failed."""
-        from agents.experiments.recipes import RECIPES
+        from agents.experiments.catalogue import EXPERIMENTS
         from agents.experiments.runner import Campaign, plan, plan_rows
 
         if self.processes < 1:
             raise ParameterError("processes", self.processes, "must be at least 1")
         if self.seeds is not None and self.seeds < 1:
             raise ParameterError("seeds", self.seeds, "must be at least 1")
-        tasks = plan(RECIPES, self.folder, self.experiments, self.seeds)
+        tasks = plan(EXPERIMENTS, self.folder, self.experiments, self.seeds)
         campaign = Campaign(tasks, self.processes)
         if self.dry_run:
             rows = plan_rows(tasks)
@@ -75,29 +75,29 @@ class RunExperiments(CommandOptions):
         return 1 if result.get("failures") else 0
 
     def _evaluate(self, tasks: list[Any], failures: dict[str, str], console: Console) -> list[str]:
-        from agents.experiments.recipes import ARENAS
-        from agents.experiments.results import evaluate_arena
+        from agents.experiments.catalogue import EVALUATION_TASKS
+        from agents.experiments.results import evaluate_task
 
-        trained = {task.recipe.arena for task in tasks}
+        trained = {run.experiment.evaluation_task for run in tasks}
         written = []
-        for arena in ARENAS:
-            if (arena.trained_on or arena.name) not in trained:
+        for task in EVALUATION_TASKS:
+            if (task.trained_on or task.name) not in trained:
                 continue
             try:
                 with progress_bar() as progress:
-                    bar = progress.add_task(f"evaluating {arena.name}", total=1.0)
+                    bar = progress.add_task(f"evaluating {task.name}", total=1.0)
 
-                    def told(name: str, share: float, bar: Any = bar, arena: Any = arena) -> None:
-                        text = f"evaluating {arena.name}, {name}"
+                    def told(name: str, share: float, bar: Any = bar, task: Any = task) -> None:
+                        text = f"evaluating {task.name}, {name}"
                         progress.update(bar, completed=share, description=text)
 
-                    file, _, made = evaluate_arena(
-                        arena, self.folder, self.results, again=self.rerun, on_progress=told
+                    file, _, made = evaluate_task(
+                        task, self.folder, self.results, again=self.rerun, on_progress=told
                     )
             except ShakeError as error:
-                failures[f"evaluation of {arena.name}"] = str(error)
+                failures[f"evaluation of {task.name}"] = str(error)
                 continue
-            console.print(f"wrote {file}" if made else f"{arena.name}: evaluated before, {file}")
+            console.print(f"wrote {file}" if made else f"{task.name}: evaluated before, {file}")
             written.append(str(file))
         return written
 
@@ -131,10 +131,10 @@ def _train(campaign: Any, console: Console) -> None:
 
 
 def _print_plan(rows: list[dict[str, Any]], minutes: float, processes: int, console: Console) -> None:
-    headings = ("recipe", "runs", "done", "steps", "minutes\nleft", "deviates by")
+    headings = ("experiment", "runs", "done", "steps", "minutes\nleft", "deviates by")
     cells = [
         (
-            row["recipe"], str(row["runs"]), str(row["done"]), f"{row['steps']:,}",
+            row["experiment"], str(row["runs"]), str(row["done"]), f"{row['steps']:,}",
             f"{row['minutes_left']:.0f}", row["why"],
         )
         for row in rows

@@ -17,25 +17,25 @@ from agents.progress import display, progress_bar
 from shake_env.errors import ParameterError
 
 if TYPE_CHECKING:  # the rest of the command line starts without torch
-    from agents.experiments.search import Search, Standing
+    from agents.experiments.search import Search, SearchProgress
     from agents.experiments.search_trace import Trace
 
 
 @dataclass(frozen=True, kw_only=True)
 class TuneTraining(CommandOptions):
-    """Search the values of a campaign's recipe by short trainings; goes on where it stopped.
+    """Search the values of a campaign's experiment by short trainings; goes on where it stopped.
 
     Try:
       shake tune-training linear/ppo --minutes 60
       shake tune-training laboratory/apg --step-fraction 0.5 --trials 30
-      shake tune-training linear/ppo --trials 0 --output docs/results/recipe_linear_ppo.json
+      shake tune-training linear/ppo --trials 0 --output docs/results/training_search_linear_ppo.json
       shake tune-training linear/ppo --trials 0 --page docs/training.md
     """
 
-    recipe: tyro.conf.Positional[str]
+    experiment: tyro.conf.Positional[str]
     """SCENARIO/ALGORITHM, as shake run-experiments --dry-run lists them: the first trial."""
     step_fraction: float = 0.3
-    """Share of the recipe's steps that a trial trains for."""
+    """Share of the experiment's steps that a trial trains for."""
     trials: int = 40
     """Trials in all, those of before counted; 0: only --output and --page."""
     minutes: float | None = None
@@ -44,12 +44,12 @@ class TuneTraining(CommandOptions):
     """Seed of the search; every trial trains with the same seed."""
     earthquakes: int = 64
     """Validation earthquakes that a trial is judged on."""
-    storage: Path = Path("runs/recipes.db")
+    storage: Path = Path("runs/tune-training.db")
     """SQLite file with the trace of every search; a search in it is gone on with."""
-    folder: Path = Path("runs/recipe-search")
+    folder: Path = Path("runs/tune-training")
     """Where the trials' runs lie."""
     output: Path | None = None
-    """JSON file for the trace, such as docs/results/recipe_linear_ppo.json."""
+    """JSON file for the trace, such as docs/results/training_search_linear_ppo.json."""
     page: Path | None = None
     """Markdown page whose searches, tables and figures, are renewed from all kept traces."""
     results: Path = Path("docs/results")
@@ -57,18 +57,18 @@ class TuneTraining(CommandOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Search with a progress bar, print what was found, keep it."""
-        from agents.experiments.search import Search, find_recipe
+        from agents.experiments.search import Search, find_experiment
         from agents.experiments.search_trace import write_trace
 
         if self.output is not None and self.output.suffix != ".json":
-            remedy = "must be a JSON file, such as docs/results/recipe_linear_ppo.json"
+            remedy = "must be a JSON file, such as docs/results/training_search_linear_ppo.json"
             raise ParameterError("output", str(self.output), remedy)
         if self.output is not None:
             require_writable_file(self.output, "output")
         require_writable_file(self.storage, "storage")
         require_writable(self.folder, "folder")
         search = Search(
-            recipe=find_recipe(self.recipe),
+            experiment=find_experiment(self.experiment),
             share=self.step_fraction,
             seed=self.seed,
             earthquakes=self.earthquakes,
@@ -87,13 +87,13 @@ class TuneTraining(CommandOptions):
         return trace.to_json()
 
     def _search(self, search: Search) -> Trace:
-        from agents.experiments.search import search_recipe
+        from agents.experiments.search import search_training
 
         with progress_bar(TextColumn("{task.fields[note]}")) as progress:
-            whole = progress.add_task(search.recipe.name, total=max(1, self.trials), note="")
+            whole = progress.add_task(search.experiment.name, total=max(1, self.trials), note="")
             one = progress.add_task("trial", total=1.0, note="")
 
-            def on_update(now: Standing) -> None:
+            def on_update(now: SearchProgress) -> None:
                 told = now.progress
                 share = told.steps / told.total_steps if told else 1.0
                 ratio = "" if told is None or told.cost_ratio is None else f"{told.cost_ratio:.4f}"
@@ -106,7 +106,7 @@ class TuneTraining(CommandOptions):
                 progress.update(whole, completed=done, note=note)
                 progress.update(one, completed=share, description=f"trial {now.trial}", note=ratio)
 
-            return search_recipe(
+            return search_training(
                 search,
                 self.storage,
                 self.folder,
@@ -124,14 +124,16 @@ class TuneTraining(CommandOptions):
         for trace in traces:
             if trace.judged:
                 console.print(f"wrote {search_figure(trace, page.parent / 'figures')}")
-        console.print(f"wrote {page}: {', '.join(t.recipe for t in traces) or 'no search'}")
+        console.print(f"wrote {page}: {', '.join(t.experiment for t in traces) or 'no search'}")
 
 
 def _print(trace: Trace, console: Console) -> None:
     states = [row.state for row in trace.trials]
     counts = ", ".join(f"{states.count(state)} {state}" for state in sorted(set(states)))
-    console.print(f"{trace.recipe}: {len(states)} trials ({counts or 'none'}) of {trace.steps:,} steps")
-    for name, row in (("the recipe", trace.start), ("best", trace.best)):
+    console.print(
+        f"{trace.experiment}: {len(states)} trials ({counts or 'none'}) of {trace.steps:,} steps"
+    )
+    for name, row in (("the experiment", trace.start), ("best", trace.best)):
         if row is not None:
             console.print(
                 f"{name}, trial {row.number}: {row.cost:.4f} [{row.low:.4f}, {row.high:.4f}] of "
@@ -139,4 +141,4 @@ def _print(trace: Trace, console: Console) -> None:
             )
     if trace.best is not None:
         for name, value in trace.best.values.items():
-            console.print(f"  {name} = {value} (recipe: {trace.own[name]})", highlight=False)
+            console.print(f"  {name} = {value} (experiment: {trace.own[name]})", highlight=False)

@@ -187,7 +187,7 @@ def evaluate(
     scenario
         What is driven; `records` on its own motions, any other on filtered noise.
     entries
-        Rows of the result. Reference and yardstick are run in any case.
+        Rows of the result. Reference and normaliser are run in any case.
     earthquakes
         Number of test earthquakes; each draws its specimen and noise from a seed of its own.
     repeats
@@ -196,7 +196,7 @@ def evaluate(
         Draws of the bootstrap.
     known
         A result of the same scenario and earthquakes: its rows that are not run now are taken over,
-        their costs held against reference and yardstick as those are now.
+        their costs held against reference and normaliser as those are now.
     tuned
         Tuned values of a file that was named; see `baselines.registry.parameter_values`.
     on_progress
@@ -218,9 +218,9 @@ def evaluate(
         else noise_earthquakes(scenario, earthquakes, TEST_SEED)
     )
     reference, optimum = reference_name(scenario), optimal_cost(scenario)
-    yardstick = reference if optimum is not None else ORACLE
+    normaliser = reference if optimum is not None else ORACLE
     for each in entries:
-        if each.policies and each.name in (yardstick, reference, *CLASSICAL):
+        if each.policies and each.name in (normaliser, reference, *CLASSICAL):
             raise ParameterError(
                 "entry", each.name, "is a controller's name: call the policies by NAME=PATH"
             )
@@ -229,7 +229,7 @@ def evaluate(
         raise ParameterError(
             "entries", [c.name for c in entries], "two rows have one name: give others by NAME=PATH"
         )
-    always = (yardstick, reference) if known is None else (yardstick, reference, SANITY_CONTROLLER)
+    always = (normaliser, reference) if known is None else (normaliser, reference, SANITY_CONTROLLER)
     rows = {name: given.pop(name, Entry(name)) for name in dict.fromkeys(always)} | given
     values = {
         name: found
@@ -252,12 +252,12 @@ def evaluate(
         parameters = values[name].parameters if name in values else None
         episodes[name] = _episodes(each, scenario, quakes, repeats, told, parameters)
         latency[name] = _latency(each, scenario, parameters)
-    costs = (episodes[yardstick].cost, episodes[reference].cost)
+    costs = (episodes[normaliser].cost, episodes[reference].cost)
     summaries = [
         summary(
             name,
             found,
-            yardstick=episodes[yardstick],
+            normaliser=episodes[normaliser],
             reference=episodes[reference],
             optimum=optimum,
             resamples=resamples,
@@ -287,7 +287,7 @@ def evaluate(
         "seed": None if recorded else TEST_SEED,
         "earthquakes": [quake.name for quake in quakes],
         "reference": reference,
-        "yardstick": yardstick,
+        "normaliser": normaliser,
         "optimal_cost": optimum,
         "resamples": resamples,
         "values": ({} if known is None else known.get("values", {})) | values_to_json(values),

@@ -9,6 +9,7 @@ from typing import Any
 
 from agents.run_directory import described, read_json, write_text
 from shake_env.errors import FileError
+from shake_env.renamed import RESULT_KEYS
 
 PREFIX = "evaluation_"  # of a result's file name in docs/results
 
@@ -37,7 +38,7 @@ def read_result(file: str | PathLike[str]) -> dict[str, Any]:
         If it is missing, not complete or no result of the protocol.
     """
     file = Path(file)
-    result = read_json(file)
+    result = {RESULT_KEYS.get(key, key): value for key, value in read_json(file).items()}
     lacks = [key for key in _KEYS if key not in result]
     for row in result.get("rows", ()) if not lacks else ():
         name = row.get("controller") if isinstance(row, dict) else None
@@ -50,7 +51,7 @@ def read_result(file: str | PathLike[str]) -> dict[str, Any]:
 
 
 _KEYS = (
-    "format", "scenario", "version", "seed", "earthquakes", "reference", "yardstick", "optimal_cost",
+    "format", "scenario", "version", "seed", "earthquakes", "reference", "normaliser", "optimal_cost",
     "rows", "episodes",
 )  # fmt: skip
 

@@ -76,7 +76,7 @@ def summary(
     name: str,
     found: Episodes,
     *,
-    yardstick: Episodes,
+    normaliser: Episodes,
     reference: Episodes,
     optimum: float | None,
     resamples: int,
@@ -87,7 +87,7 @@ def summary(
     ----------
     name
         Of the controller.
-    found, yardstick, reference
+    found, normaliser, reference
         On the same earthquakes.
     optimum
         J*, or None.
@@ -98,7 +98,7 @@ def summary(
         "controller": name,
         "runs": len(found.cost),
         "episodes": found.cost.size,
-        **cost_figures(found.cost, yardstick.cost, reference.cost, optimum, resamples),
+        **cost_figures(found.cost, normaliser.cost, reference.cost, optimum, resamples),
         "failures": found.failures,
     }
     for figure in MEANS:
@@ -118,14 +118,14 @@ def summary(
 
 
 def cost_figures(
-    cost: Scores, yardstick: Scores, reference: Scores, optimum: float | None, resamples: int
+    cost: Scores, normaliser: Scores, reference: Scores, optimum: float | None, resamples: int
 ) -> dict[str, Any]:
     """Return those figures of a row that come of costs alone, (runs, earthquakes); see `summary`."""
-    ratio = cost / yardstick
-    same = np.array_equal(cost, yardstick)
-    regret = optimum is None and not same and reference.mean() > yardstick.mean()
+    ratio = cost / normaliser
+    same = np.array_equal(cost, normaliser)
+    regret = optimum is None and not same and reference.mean() > normaliser.mean()
     return {
-        "relative_cost": _interval(ratio_of_means, resamples, cost, yardstick),
+        "relative_cost": _interval(ratio_of_means, resamples, cost, normaliser),
         "interquartile_mean": _interval(interquartile_mean, resamples, ratio),
         "worst_twentieth": _interval(worst_mean, resamples, ratio),
         "reference_cost": _interval(ratio_of_means, resamples, cost, reference),
@@ -136,9 +136,9 @@ def cost_figures(
             else _interval(lambda found: float(found.mean() / optimum), resamples, cost)
         ),
         "regret_closed": (
-            _interval(_regret_closed, resamples, cost, reference, yardstick) if regret else None
+            _interval(_regret_closed, resamples, cost, reference, normaliser) if regret else None
         ),
-        "run_costs": [float(run.mean() / yardstick.mean()) for run in cost],
+        "run_costs": [float(run.mean() / normaliser.mean()) for run in cost],
     }
 
 

@@ -10,7 +10,7 @@ __getattr__, __all__ = names_of(
             "kept_values",
             "tune",
         ),
-        "results": ("evaluate_arena",),
+        "results": ("evaluate_task",),
         "runner": (
             "Campaign",
             "plan",
@@ -18,9 +18,9 @@ __getattr__, __all__ = names_of(
         ),
         "search": (
             "Search",
-            "Standing",
-            "find_recipe",
-            "search_recipe",
+            "SearchProgress",
+            "find_experiment",
+            "search_training",
         ),
         "search_trace": (
             "Trace",

@@ -1,4 +1,4 @@
-"""Results of a campaign: every arena's policies and rivals under the protocol, row by row."""
+"""Results of a campaign: every task's policies and baselines under the protocol, row by row."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 from agents.evaluation.protocol import Entry, evaluate, find_entry
 from agents.evaluation.result_files import PREFIX, read_result, write_result
-from agents.experiments.recipes import Arena
+from agents.experiments.catalogue import EvaluationTask
 from agents.run_directory import POLICY
 from agents.seeds import TEST_SEED
 from baselines.lqr import oracle
@@ -27,22 +27,22 @@ ORACLE_DESIGN = {
 }
 
 
-def policy_folders(arena: Arena, folder: str | PathLike[str]) -> list[Path]:
-    """Return the folders of runs, one an algorithm, whose policies an arena takes."""
+def policy_folders(task: EvaluationTask, folder: str | PathLike[str]) -> list[Path]:
+    """Return the folders of runs, one an algorithm, whose policies an evaluation task takes."""
     folder = Path(folder)
-    own = folder / (arena.trained_on or arena.name)
+    own = folder / (task.trained_on or task.name)
     return sorted({file.parents[1] for file in own.glob(f"*/*/{POLICY}")})
 
 
-def evaluate_arena(
-    arena: Arena,
+def evaluate_task(
+    task: EvaluationTask,
     folder: str | PathLike[str],
     results: str | PathLike[str],
     *,
     again: bool = False,
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
 ) -> tuple[Path, dict[str, Any], bool]:
-    """Return the file of an arena's result, the result, and whether any of it was made now.
+    """Return the file of an evaluation task's result, the result, and whether any of it was made now.
 
     A row holds while there is no policy for it that it was not made of, and a rival's while it is in the
     file, tuned as it is now: a row whose policies lie on no disk here any more stays. What does not hold
@@ -57,13 +57,13 @@ def evaluate_arena(
         or if a row of some policies would become one of fewer others.
     """
     folder, results = Path(folder), Path(results)
-    file = results / f"{PREFIX}{arena.name}.json"
-    scenario = arena.options.build()
-    rows = [find_entry(str(runs), scenario) for runs in policy_folders(arena, folder)]
-    rows += [Entry(name) for name in arena.rivals]
+    file = results / f"{PREFIX}{task.name}.json"
+    scenario = task.options.build()
+    rows = [find_entry(str(runs), scenario) for runs in policy_folders(task, folder)]
+    rows += [Entry(name) for name in task.baselines]
     known = None
     if file.exists() and not again:
-        known = _read(file, arena)
+        known = _read(file, task)
     missing = [row for row in rows if known is None or not _holds(row, known["identity"], scenario)]
     same_floor = known is not None and known["identity"]["oracle"] == ORACLE_DESIGN
     if known is not None and not missing and same_floor:
@@ -71,25 +71,27 @@ def evaluate_arena(
     result = evaluate(
         scenario,
         missing,
-        earthquakes=arena.earthquakes,
-        repeats=arena.fidelity,
+        earthquakes=task.earthquakes,
+        repeats=task.fidelity,
         known=known,
         on_progress=on_progress,
     )
-    result |= {"arena": arena.name, "identity": _identity(result, arena)}
+    result |= {"evaluation_task": task.name, "identity": _identity(result, task)}
     write_result(result, file)
     return file, result, True
 
 
-def _read(file: Path, arena: Arena) -> dict[str, Any]:
+def _read(file: Path, task: EvaluationTask) -> dict[str, Any]:
     known = read_result(file)
     identity: Any = known.get("identity")
-    complete = isinstance(identity, dict) and {"arena", "oracle", "rows", "tuned"} <= set(identity)
-    if not complete or identity["arena"] != _asked(arena):
+    complete = isinstance(identity, dict) and {"evaluation_task", "oracle", "rows", "tuned"} <= set(
+        identity
+    )
+    if not complete or identity["evaluation_task"] != _asked(task):
         raise ParameterError(
             "results",
             str(file),
-            f"is no result of {arena.name} as it is asked for now: move it away, or evaluate all rows "
+            f"is no result of {task.name} as it is asked for now: move it away, or evaluate all rows "
             "anew (--rerun), of the policies that there are",
         )
     return known
@@ -122,18 +124,22 @@ def _holds(row: Entry, known: dict[str, Any], scenario: Scenario) -> bool:
     )
 
 
-def _asked(arena: Arena) -> dict[str, Any]:
+def _asked(task: EvaluationTask) -> dict[str, Any]:
     """Return what a result depends on but for its rows and the code."""
-    asked: dict[str, Any] = json.loads(json.dumps(asdict(arena.options)))
-    return asked | {"earthquakes": arena.earthquakes, "fidelity": arena.fidelity, "seed": TEST_SEED}
+    asked: dict[str, Any] = json.loads(json.dumps(asdict(task.options)))
+    return asked | {
+        "earthquakes": task.earthquakes,
+        "fidelity": task.fidelity,
+        "seed": TEST_SEED,
+    }
 
 
-def _identity(result: dict[str, Any], arena: Arena) -> dict[str, Any]:
+def _identity(result: dict[str, Any], task: EvaluationTask) -> dict[str, Any]:
     rows = {row["controller"]: [s["sha256"] for s in row["sources"]] for row in result["rows"]}
-    scenario = arena.options.build()
+    scenario = task.options.build()
     tuned = {name: tuned_parameters(name, scenario) for name in rows if not rows[name]}
     return {
-        "arena": _asked(arena),
+        "evaluation_task": _asked(task),
         "oracle": ORACLE_DESIGN,
         "rows": rows,
         "tuned": tuned,

@@ -15,7 +15,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
 
-from agents.experiments.recipes import Recipe
+from agents.experiments.catalogue import ExperimentConfig
 from agents.plain_values import typed
 from agents.progress import Progress
 from agents.run_directory import CONFIG, PROGRESS, file_errors, read_json
@@ -31,7 +31,7 @@ State = Literal["done", "begun", "waiting", "running", "failed", "foreign"]
 class Task:
     """One run of a campaign."""
 
-    recipe: Recipe
+    experiment: ExperimentConfig
     config: TrainConfig
     run: Path
     state: State = "waiting"
@@ -44,7 +44,7 @@ class Task:
     @property
     def name(self) -> str:
         """``SCENARIO/ALGORITHM/SEED``."""
-        return f"{self.recipe.name}/{self.config.seed}"
+        return f"{self.experiment.name}/{self.config.seed}"
 
     def look(self) -> None:
         """Read the state of the run from its directory."""
@@ -75,13 +75,13 @@ class Task:
     def pace(self) -> float | None:
         """Time that it takes over the time that was expected, as far as it is known."""
         done = self.share - self.first_share
-        expected = 60.0 * self.recipe.minutes * done
+        expected = 60.0 * self.experiment.minutes * done
         return self.seconds / expected if done > 0.02 and self.seconds > 5.0 else None
 
 
 @dataclass
 class Campaign:
-    """The runs of some recipes, and how far they are.
+    """The runs of some experiments, and how far they are.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class Campaign:
         with file_errors(task.run):
             task.run.parent.mkdir(parents=True, exist_ok=True)
             (task.run / PROGRESS).unlink(missing_ok=True)  # that of the process before
-        command = f"shake run-experiments --experiments {task.recipe.name}"
+        command = f"shake run-experiments --experiments {task.experiment.name}"
         one = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
         paths = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
         with _log(task).open("wb") as log:
@@ -159,7 +159,7 @@ class Campaign:
         paces = [pace for task in self.tasks if (pace := task.pace) is not None]
         usual = sum(paces) / len(paces) if paces else 1.0
         left = [
-            60.0 * task.recipe.minutes * (1.0 - task.share) * (task.pace or usual)
+            60.0 * task.experiment.minutes * (1.0 - task.share) * (task.pace or usual)
             for task in self.tasks
             if task.state in ("begun", "waiting", "running")
         ]
@@ -180,7 +180,7 @@ def _log(task: Task) -> Path:
 
 
 def plan(
-    recipes: Sequence[Recipe],
+    experiments: Sequence[ExperimentConfig],
     folder: str | PathLike[str],
     only: Sequence[str] = (),
     seeds: int | None = None,
@@ -189,47 +189,47 @@ def plan(
 
     Parameters
     ----------
-    recipes
+    experiments
         What can be run.
     folder
         Runs lie in ``folder / SCENARIO / ALGORITHM / SEED``.
     only
         Names or patterns, ``linear/ppo`` or ``linear/*``; none: all.
     seeds
-        Seeds of each; None: as many as each recipe asks for.
+        Seeds of each; None: as many as each experiment asks for.
 
     Raises
     ------
     ScenarioError
-        If a pattern fits no recipe.
+        If a pattern fits no experiment.
     """
     folder = Path(folder)
-    names = [recipe.name for recipe in recipes]
+    names = [experiment.name for experiment in experiments]
     for pattern in only:
         if not any(fnmatch(name, pattern) for name in names):
             raise unknown(ScenarioError, "only", pattern, names)
     tasks = []
-    for recipe in recipes:
-        if only and not any(fnmatch(recipe.name, pattern) for pattern in only):
+    for experiment in experiments:
+        if only and not any(fnmatch(experiment.name, pattern) for pattern in only):
             continue
-        for seed in range(recipe.seeds if seeds is None else seeds):
-            task = Task(recipe, recipe.with_seed(seed), folder / recipe.name / str(seed))
+        for seed in range(experiment.seeds if seeds is None else seeds):
+            task = Task(experiment, experiment.with_seed(seed), folder / experiment.name / str(seed))
             task.look()
             tasks.append(task)
     return tasks
 
 
 def plan_rows(tasks: Sequence[Task]) -> list[dict[str, Any]]:
-    """Return a row for each recipe of a plan: runs, those done, minutes left and why it is so."""
+    """Return a row for each experiment of a plan: runs, those done, minutes left and why it is so."""
     rows: dict[str, dict[str, Any]] = {}
     for task in tasks:
         row = rows.setdefault(
-            task.recipe.name,
-            {"recipe": task.recipe.name, "runs": 0, "done": 0, "minutes_left": 0.0, "steps": 0},
+            task.experiment.name,
+            {"experiment": task.experiment.name, "runs": 0, "done": 0, "minutes_left": 0.0, "steps": 0},
         )
         row["runs"] += 1
         row["done"] += task.state == "done"
         row["steps"] = task.config.steps
-        row["minutes_left"] += task.recipe.minutes * (1.0 - task.share)
-        row["why"] = task.recipe.why
+        row["minutes_left"] += task.experiment.minutes * (1.0 - task.share)
+        row["why"] = task.experiment.why
     return list(rows.values())

@@ -1,4 +1,4 @@
-"""Search a recipe's values by short trainings, judged on validation earthquakes.
+"""Search an experiment's values by short trainings, judged on validation earthquakes.
 
 Optuna's tree-structured Parzen estimator (Bergstra et al., 2011) draws the values, and its median pruner
 ends a run whose own evaluations stand behind half of those before it. Everything lies in SQLite: a
@@ -21,10 +21,15 @@ from pathlib import Path
 from typing import Any
 
 import shake_env
-from agents.experiments import recipes
+from agents.experiments import catalogue
+from agents.experiments.catalogue import ExperimentConfig
 from agents.experiments.controller_tuning import FAILED
-from agents.experiments.recipes import Recipe
-from agents.experiments.search_objective import Judge, OutOfTimeError, PrunedError, Validation
+from agents.experiments.search_objective import (
+    OutOfTimeError,
+    PrunedError,
+    PruningCallback,
+    ValidationSet,
+)
 from agents.experiments.search_space import TRAIN_SEED, own_values, space, space_json, trial_config
 from agents.experiments.search_trace import Trace, TrialRow
 from agents.policies.policy_file import load_policy
@@ -58,9 +63,9 @@ class Search:
         If a number is outside its range.
     """
 
-    recipe: Recipe
+    experiment: ExperimentConfig
     share: float = 0.3
-    """Share of the recipe's steps that a trial trains for."""
+    """Share of the experiment's steps that a trial trains for."""
     seed: int = 0
     """Of what is drawn."""
     earthquakes: int = 64
@@ -71,17 +76,17 @@ class Search:
             raise ParameterError("seed", self.seed, "must be at least 0")
         if self.earthquakes < 1:
             raise ParameterError("earthquakes", self.earthquakes, "must be at least 1")
-        trial_config(self.recipe, {}, self.share)
+        trial_config(self.experiment, {}, self.share)
 
     @property
     def name(self) -> str:
         """Name of the study, and of the folder of its runs."""
-        return f"{self.recipe.name}/share{self.share:g}-seed{self.seed}-tests{self.earthquakes}"
+        return f"{self.experiment.name}/share{self.share:g}-seed{self.seed}-tests{self.earthquakes}"
 
     def identity(self) -> str:
         """Return everything that decides a trial, so that no search mixes two kinds of them."""
-        config = trial_config(self.recipe, {}, self.share).to_json()
-        return json.dumps([config, space_json(space(self.recipe))])
+        config = trial_config(self.experiment, {}, self.share).to_json()
+        return json.dumps([config, space_json(space(self.experiment))])
 
     def same(self, identity: str) -> bool:
         """Return whether that is this search's; options that it does not know have their defaults."""
@@ -93,7 +98,7 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Standing:
+class SearchProgress:
     """Where a search stands."""
 
     done: int
@@ -104,17 +109,17 @@ class Standing:
     seconds_left: float | None  # wall time, as far as it can be told
 
 
-def find_recipe(name: str) -> Recipe:
-    """Return the recipe of a name.
+def find_experiment(name: str) -> ExperimentConfig:
+    """Return the experiment of a name.
 
     Raises
     ------
     ScenarioError
         If there is none.
     """
-    found = {recipe.name: recipe for recipe in recipes.RECIPES}
+    found = {experiment.name: experiment for experiment in catalogue.EXPERIMENTS}
     if name not in found:
-        raise unknown(ScenarioError, "recipe", name, found)
+        raise unknown(ScenarioError, "experiment", name, found)
     return found[name]
 
 
@@ -124,7 +129,7 @@ def open_study(search: Search, storage: str | PathLike[str]) -> Any:
     Raises
     ------
     ParameterError
-        If the storage has it with another recipe or space.
+        If the storage has it with another experiment or space.
     ShakeError
         If Optuna is not installed.
     """
@@ -139,13 +144,13 @@ def open_study(search: Search, storage: str | PathLike[str]) -> Any:
     study = optuna.create_study(
         study_name=search.name, storage=f"sqlite:///{storage}", load_if_exists=True
     )
-    evaluations = trial_config(search.recipe, {}, search.share).evaluations
+    evaluations = trial_config(search.experiment, {}, search.share).evaluations
     study.pruner = optuna.pruners.MedianPruner(
         n_startup_trials=UNJUDGED, n_warmup_steps=max(1, evaluations // 3)
     )
     identity = search.identity()
     if not search.same(study.user_attrs.get("identity", identity)):
-        remedy = f"holds {search.name} of another recipe or space: give another --storage or --seed"
+        remedy = f"holds {search.name} of another experiment or space: give another --storage or --seed"
         raise ParameterError("storage", str(storage), remedy)
     study.set_user_attr("identity", identity)
     return study
@@ -160,29 +165,29 @@ def _done(study: Any) -> list[Any]:
 
 
 def _queue(study: Any, search: Search) -> None:
-    """Queue the recipe itself, if it is new, and the trial that was cut, with the run that it had."""
+    """Queue the experiment itself, if it is new, and the trial that was cut, with its run."""
     import optuna
 
     trials = study.get_trials(deepcopy=False)
     lives = [trial for trial in trials if trial.state.name != "FAIL"]
     if not lives:
-        own = own_values(search.recipe)
-        start = {knob.name: own[knob.name] for knob in space(search.recipe)}
-        study.enqueue_trial(start, user_attrs={"recipe": True})
+        own = own_values(search.experiment)
+        start = {knob.name: own[knob.name] for knob in space(search.experiment)}
+        study.enqueue_trial(start, user_attrs={"default": True})
     for cut in _with_states(study, "RUNNING"):
         # Given up under its number, which counts for nothing, and queued under the next.
         study.tell(cut.number, state=optuna.trial.TrialState.FAIL)
         study.enqueue_trial(cut.params, user_attrs={"run": str(cut.number), **cut.user_attrs})
 
 
-def search_recipe(
+def search_training(
     search: Search,
     storage: str | PathLike[str],
     folder: str | PathLike[str],
     *,
     trials: int = 40,
     minutes: float | None = None,
-    on_update: Callable[[Standing], None] = lambda standing: None,
+    on_update: Callable[[SearchProgress], None] = lambda standing: None,
 ) -> Trace:
     """Search, or go on with a search.
 
@@ -193,7 +198,7 @@ def search_recipe(
     storage
         SQLite file that keeps the trace of every search.
     folder
-        Runs lie in ``folder / ARENA / ALGORITHM / SEARCH / TRIAL``.
+        Runs lie in ``folder / SCENARIO / ALGORITHM / SEARCH / TRIAL``.
     trials
         In all, those of an earlier process counted; 0 returns what there is.
     minutes
@@ -204,7 +209,7 @@ def search_recipe(
     Raises
     ------
     ParameterError
-        If a number is outside its range, or the storage holds this search with another recipe.
+        If a number is outside its range, or the storage holds this search with another experiment.
     RunDirectoryError
         If another process runs this search, or a trial's directory holds another run.
     """
@@ -218,7 +223,7 @@ def search_recipe(
     if len(_done(study)) >= trials:
         return trace_of(search, study)
     with locked(home):
-        validation = Validation(search.recipe, search.earthquakes)
+        validation = ValidationSet(search.experiment, search.earthquakes)
         study.set_user_attr("reference", validation.reference)
         study.set_user_attr("reference_lost", validation.reference_lost)
         _queue(study, search)
@@ -237,7 +242,7 @@ def search_recipe(
 def _trial(
     study: Any,
     search: Search,
-    validation: Validation,
+    validation: ValidationSet,
     home: Path,
     until: float,
     tell: Callable[[int, Progress | None], None],
@@ -247,12 +252,12 @@ def _trial(
     seed = search.seed + 1000 * len(_done(study))
     study.sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True)
     trial = study.ask()
-    values = {knob.name: knob.suggest(trial) for knob in space(search.recipe)}
-    config = trial_config(search.recipe, values, search.share)
+    values = {knob.name: knob.suggest(trial) for knob in space(search.experiment)}
+    config = trial_config(search.experiment, values, search.share)
     run = home / trial.user_attrs.get("run", str(trial.number))
     before, began = trial.user_attrs.get("seconds", 0.0), time.process_time()
     trial.set_user_attr("code", code_version())
-    judge = Judge(trial, config, run, until)
+    judge = PruningCallback(trial, config, run, until)
 
     def report(told: Progress) -> None:
         trial.set_user_attr("seconds", before + time.process_time() - began)
@@ -261,7 +266,7 @@ def _trial(
 
     try:
         options = f"--step-fraction {search.share:g} --seed {search.seed}"
-        command = f"shake tune-training {search.recipe.name} {options}"
+        command = f"shake tune-training {search.experiment.name} {options}"
         train_or_resume(config, run, report=report, command=command)
         judge.report()
         found = validation.judge(load_policy(run / POLICY))
@@ -271,7 +276,7 @@ def _trial(
         raise  # a mistake in what was asked, no property of the values
     # A network or a design that came to no numbers.
     except (PolicyFileError, ValueError, ArithmeticError) as error:
-        if trial.user_attrs.get("recipe"):
+        if trial.user_attrs.get("default"):
             raise  # nor is this
         reason = (str(error) or "no reason told").splitlines()[0]
         found = {"cost": FAILED, "failure": f"{type(error).__name__}: {reason}"}
@@ -288,7 +293,9 @@ def _trial(
     tell(trial.number, None)
 
 
-def _standing(study: Any, total: int, until: float, number: int, told: Progress | None) -> Standing:
+def _standing(
+    study: Any, total: int, until: float, number: int, told: Progress | None
+) -> SearchProgress:
     done = _done(study)
     costs = [t.value for t in done if t.state.name == "COMPLETE"]
     times = [t.duration.total_seconds() for t in done]
@@ -300,12 +307,12 @@ def _standing(study: Any, total: int, until: float, number: int, told: Progress 
         left = told.seconds / share * (total - share)
     if math.isfinite(until):
         left = min(math.inf if left is None else left, max(0.0, until - time.monotonic()))
-    return Standing(len(done), total, number, told, min(costs, default=None), left)
+    return SearchProgress(len(done), total, number, told, min(costs, default=None), left)
 
 
 def trace_of(search: Search, study: Any) -> Trace:
     """Return the trace of a search as far as it is done."""
-    knobs, own = space(search.recipe), own_values(search.recipe)
+    knobs, own = space(search.experiment), own_values(search.experiment)
     rows = []
     for trial in _done(study):
         told = trial.user_attrs
@@ -318,14 +325,14 @@ def trace_of(search: Search, study: Any) -> Trace:
                 values={knob.name: knob.tidy(trial.params[knob.name]) for knob in knobs},
                 cost=None if failed else told.get("cost"),
                 seconds=round(told.get("seconds", 0.0), 1),
-                recipe=told.get("recipe", False),
+                default=told.get("default", False),
                 **{key: told.get(key) for key in ("low", "high", "lost", "ratio", "code", "failure")},
             )
         )
     return Trace(
-        recipe=search.recipe.name,
+        experiment=search.experiment.name,
         share=search.share,
-        steps=trial_config(search.recipe, {}, search.share).steps,
+        steps=trial_config(search.experiment, {}, search.share).steps,
         seed=search.seed,
         train_seed=TRAIN_SEED,
         earthquakes=search.earthquakes,

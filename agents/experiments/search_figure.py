@@ -1,4 +1,4 @@
-"""A search of a recipe as a figure: the cost of each trial over each value that was searched."""
+"""A search of an experiment as a figure: the cost of each trial over each value that was searched."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def search_figure(trace: Trace, folder: str | PathLike[str]) -> Path:
         handles, labels = panels.flat[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), handlelength=1.0)
         folder.mkdir(parents=True, exist_ok=True)
-        path = folder / f"{file_name(trace.recipe)}.png"
+        path = folder / f"{file_name(trace.experiment)}.png"
         figure.savefig(path, metadata={"Software": None})
     return path
 
@@ -76,7 +76,7 @@ def _panel(axes: Axes, trace: Trace, knob: Knob, top: float) -> None:
     points([row for row in judged if not row.lost], "every table held", HELD)
     points([row for row in judged if row.lost], "a table lost", LOST)
     points([row for row in trace.trials if row.cost is None], "pruned or failed", CUT)
-    points([row for row in judged if row.recipe], "the recipe", OWN, 3)
+    points([row for row in judged if row.default], "the experiment", OWN, 3)
     points(judged[:1], "best", BEST, 4)
     axes.set_xlabel(fill(knob.meaning, WIDEST))
     if isinstance(knob, Choice):

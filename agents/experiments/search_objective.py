@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from agents.evaluation.bootstrap import cost_ratio
+from agents.experiments.catalogue import EVALUATION_TASKS, ExperimentConfig
 from agents.experiments.controller_tuning import FAILED
-from agents.experiments.recipes import ARENAS, Recipe
 from agents.progress import Progress
 from agents.run_directory import evaluations
 from agents.seeds import VALIDATION_SEED
@@ -29,11 +29,13 @@ class OutOfTimeError(Exception):
     """The search has had its minutes; the trial goes on another time."""
 
 
-class Validation:
-    """The validation earthquakes of a recipe's arena, and the reference on them."""
+class ValidationSet:
+    """The validation earthquakes of an experiment's evaluation_task, and the reference on them."""
 
-    def __init__(self, recipe: Recipe, earthquakes: int) -> None:
-        self.scenario = next(a.options for a in ARENAS if a.name == recipe.arena).build()
+    def __init__(self, experiment: ExperimentConfig, earthquakes: int) -> None:
+        self.scenario = next(
+            a.options for a in EVALUATION_TASKS if a.name == experiment.evaluation_task
+        ).build()
         self.earthquakes = noise_earthquakes(self.scenario, earthquakes, VALIDATION_SEED)
         self.reference = reference_name(self.scenario)
         reference = make_baseline(self.reference, self.scenario)
@@ -54,7 +56,7 @@ class Validation:
         return {"cost": cost, "low": low, "high": high, "lost": lost}
 
 
-class Judge:
+class PruningCallback:
     """Tells Optuna how a run's own evaluations stand, and ends the run when it is to end.
 
     What is told is the best so far, for that is the policy that a run keeps.

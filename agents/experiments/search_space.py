@@ -1,7 +1,7 @@
-"""What a search may change about a recipe: typed ranges and choices that always make a valid run.
+"""What a search may change about an experiment: typed ranges and choices that always make a valid run.
 
-A range always holds the recipe's own value, and a batch is given as the number of parts that a roll-out
-is cut into, so that it divides it whatever else is drawn. What a recipe claims is not searched: one that
+A range always holds the experiment's own value. A batch is given as the number of parts of a roll-out,
+so that it divides the roll-out whatever else is drawn. What an experiment claims is not searched: one that
 begins from nothing still does, and none is given a law that is the optimum already.
 """
 
@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import Any, get_args
 
 from agents.evaluation.protocol import optimal_cost
-from agents.experiments.recipes import Recipe
+from agents.experiments.catalogue import ExperimentConfig
 from agents.policies.base_law import base_law
 from agents.policies.base_names import BaseLaw
 from agents.seeds import MOST_RUNS
@@ -23,7 +23,7 @@ from shake_env.errors import ParameterError, ShakeError
 
 Value = float | int | str
 
-TRAIN_SEED = MOST_RUNS - 1  # the last of a campaign's: most recipes never report a run with it
+TRAIN_SEED = MOST_RUNS - 1  # the last of a campaign's: most experiments never report a run with it
 FEWEST_EVALUATIONS = 5  # of a trial: what a pruner and the choice of the best policy go by
 
 
@@ -141,9 +141,9 @@ _SPACES: dict[str, tuple[Knob, ...]] = {
 }
 
 
-def own_values(recipe: Recipe) -> dict[str, Value]:
-    """Return a recipe's own value of everything that a search may change about it."""
-    config, chosen = recipe.config, recipe.config.chosen
+def own_values(experiment: ExperimentConfig) -> dict[str, Value]:
+    """Return an experiment's own value of everything that a search may change about it."""
+    config, chosen = experiment.config, experiment.config.chosen
     found: dict[str, Value] = {}
     for knob in _SPACES[config.algorithm]:
         if knob.name == "discount_horizon":
@@ -163,23 +163,23 @@ def own_values(recipe: Recipe) -> dict[str, Value]:
     return found
 
 
-def space(recipe: Recipe) -> tuple[Knob, ...]:
-    """Return what a search may change about a recipe, each with the recipe's own value in it."""
-    own = own_values(recipe)
+def space(experiment: ExperimentConfig) -> tuple[Knob, ...]:
+    """Return what a search may change about an experiment, each with its own value in it."""
+    own = own_values(experiment)
     knobs = [
         knob.holding(own[knob.name])  # type: ignore[arg-type]  # a range's own value is a number
-        for knob in _SPACES[recipe.config.algorithm]
+        for knob in _SPACES[experiment.config.algorithm]
         if knob.name in own
     ]
     if "minibatches" in own:
-        knobs = _dividing(knobs, recipe.config.chosen.n_envs, int(own["minibatches"]))
-    if len(laws := suitable_laws(recipe)) > 1:
+        knobs = _dividing(knobs, experiment.config.chosen.n_envs, int(own["minibatches"]))
+    if len(laws := suitable_laws(experiment)) > 1:
         knobs.append(Choice(name="base_controller", meaning="base controller", values=laws))
     return tuple(knobs)
 
 
 def _dividing(knobs: Sequence[Knob], tables: int, parts: int) -> list[Knob]:
-    """Keep the lengths of roll-outs that the recipe's own number of parts divides, then vice versa."""
+    """Keep the roll-out lengths that the experiment's own number of parts divides, then vice versa."""
     kept = []
     lengths: tuple[Value, ...] = ()
     for knob in knobs:
@@ -194,13 +194,13 @@ def _dividing(knobs: Sequence[Knob], tables: int, parts: int) -> list[Knob]:
 
 
 @lru_cache(maxsize=32)  # a law behind an estimator takes a second to design
-def suitable_laws(recipe: Recipe) -> tuple[BaseLaw, ...]:
-    """Return the laws that a recipe's policy could correct, its own among them.
+def suitable_laws(experiment: ExperimentConfig) -> tuple[BaseLaw, ...]:
+    """Return the laws that an experiment's policy could correct, its own among them.
 
     Only its own where it begins from nothing, which is a claim about the algorithm. Where there is an
     analytic optimum the laws that reach it are left out: nothing would be learned.
     """
-    chosen, scenario = recipe.config.chosen, recipe.config.scenario.build()
+    chosen, scenario = experiment.config.chosen, experiment.config.scenario.build()
     if chosen.base_controller == "none":
         return ("none",)
     optimal = optimal_cost(scenario) is not None
@@ -216,8 +216,8 @@ def suitable_laws(recipe: Recipe) -> tuple[BaseLaw, ...]:
     return tuple(found)
 
 
-def trial_config(recipe: Recipe, values: Mapping[str, Value], share: float) -> TrainConfig:
-    """Return the run of one trial: the recipe with these values, for a share of its steps.
+def trial_config(experiment: ExperimentConfig, values: Mapping[str, Value], share: float) -> TrainConfig:
+    """Return the run of one trial: the experiment with these values, for a share of its steps.
 
     The learning rate's decay and warm-up, which go by shares of a run, shrink with it.
 
@@ -227,8 +227,8 @@ def trial_config(recipe: Recipe, values: Mapping[str, Value], share: float) -> T
         If the share is not within (0, 1], or leaves no step after the algorithm's warm-up.
     """
     if not 0.0 < share <= 1.0:
-        raise ParameterError("share", share, "is a share of the recipe's steps: above 0, at most 1")
-    config, own = recipe.with_seed(TRAIN_SEED), dict(values)
+        raise ParameterError("share", share, "is a share of the experiment's steps: above 0, at most 1")
+    config, own = experiment.with_seed(TRAIN_SEED), dict(values)
     steps = math.ceil(share * config.steps)
     warmup = getattr(config.chosen, "learning_starts", 0)
     if steps <= warmup:

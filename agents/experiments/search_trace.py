@@ -1,4 +1,4 @@
-"""The trace of a recipe's search as a file, and as what a page shows of it."""
+"""The trace of an experiment's search as a file, and as what a page shows of it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from agents.run_directory import read_json, write_text
 from shake_env.errors import ParameterError
 
 FORMAT = "shake-recipe-search-1"
-PREFIX = "recipe_"  # of a trace's file name in docs/results
+PREFIX = "training_search_"  # of a trace's file name in docs/results
 BEST = 4  # the best of so many trials that were judged are what the table calls the best quarter
 
 
@@ -33,7 +33,7 @@ class TrialRow:
     lost: int | None = None  # tables that met a limit there; their cost is in the mean
     ratio: float | None = None  # [-] best of the run's own evaluations
     seconds: float = 0.0  # processor time
-    recipe: bool = False  # whether it is the recipe as it stands
+    default: bool = False  # whether its values are the experiment's own
     code: str | None = None
     failure: str | None = None
 
@@ -42,8 +42,8 @@ class TrialRow:
 class Trace:
     """Every trial of a search, with what decided it."""
 
-    recipe: str  # ARENA/ALGORITHM
-    share: float  # of the recipe's steps that a trial trains for
+    experiment: str  # SCENARIO/ALGORITHM
+    share: float  # of the experiment's steps that a trial trains for
     steps: int
     seed: int  # of the search
     train_seed: int  # of every trial's training
@@ -54,7 +54,7 @@ class Trace:
     version: str
     machine: str
     space: tuple[Knob, ...]
-    own: dict[str, Value]  # the recipe's values
+    own: dict[str, Value]  # the experiment's values
     trials: tuple[TrialRow, ...]
 
     @property
@@ -69,8 +69,8 @@ class Trace:
 
     @property
     def start(self) -> TrialRow | None:
-        """The recipe as it stands, if it was judged."""
-        return next((t for t in self.judged if t.recipe), None)
+        """The experiment as it stands, if it was judged."""
+        return next((t for t in self.judged if t.default), None)
 
     def to_json(self) -> dict[str, Any]:
         """Return the trace as plain JSON values."""
@@ -96,7 +96,7 @@ def write_trace(trace: Trace, file: str | PathLike[str]) -> None:
     """
     file = Path(file)
     if not trace.trials:
-        raise ParameterError("trials", 0, f"none is done of {trace.recipe}: nothing to keep")
+        raise ParameterError("trials", 0, f"none is done of {trace.experiment}: nothing to keep")
     if file.suffix != ".json":
         raise ParameterError("keep", str(file), f"must be a file such as {PREFIX}linear_ppo.json")
     plain = trace.to_json()
@@ -122,7 +122,7 @@ def read_trace(file: str | PathLike[str]) -> Trace:
         rows = tuple(TrialRow(**row) for row in values.pop("trials"))
         return Trace(**{**values, "space": space_of(values["space"]), "trials": rows})
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        remedy = f"holds no trace of a recipe's search ({error}): make it anew with --keep"
+        remedy = f"holds no trace of an experiment's search ({error}): make it anew with --keep"
         raise ParameterError("trace", str(file), remedy) from error
 
 
@@ -132,9 +132,9 @@ def read_traces(folder: str | PathLike[str]) -> list[Trace]:
     return [read_trace(file) for file in sorted(folder.glob(f"{PREFIX}*.json"))]
 
 
-def file_name(recipe: str) -> str:
-    """Return the name, without ending, of a recipe's trace and of its figure."""
-    return PREFIX + recipe.replace("/", "_")
+def file_name(experiment: str) -> str:
+    """Return the name, without ending, of an experiment's trace and of its figure."""
+    return PREFIX + experiment.replace("/", "_")
 
 
 def markdown(trace: Trace, figures: str) -> str:
@@ -152,10 +152,10 @@ def markdown(trace: Trace, figures: str) -> str:
     hours = sum(t.seconds for t in trace.trials) / 3600.0
     codes = ", ".join(sorted({t.code for t in trace.trials if t.code})) or "no git checkout"
     lines = [
-        f"### {trace.recipe}",
+        f"### {trace.experiment}",
         "",
-        f"{len(trace.trials)} trials ({counts}) of {trace.steps:,} steps each, {trace.share:g} of "
-        f"the recipe's; {hours:.1f} hours of processor time. Search seed {trace.seed}, training seed "
+        f"{len(trace.trials)} trials ({counts}) of {trace.steps:,} steps each, {trace.share:g} of the "
+        f"experiment's; {hours:.1f} hours of processor time. Search seed {trace.seed}, training seed "
         f"{trace.train_seed}; {trace.earthquakes} validation earthquakes from seed "
         f"{trace.validation_seed}, costs relative to `{trace.reference}`, which loses "
         f"{trace.reference_lost} tables. Version {trace.version} ({codes}), {trace.machine}.",
@@ -167,7 +167,7 @@ def markdown(trace: Trace, figures: str) -> str:
     best, start = judged[0], trace.start
     good = judged[: max(1, len(judged) // BEST)]
     lines += [
-        f"| value | searched | recipe | best trial ({best.number}) | best quarter ({len(good)}) |",
+        f"| value | searched | experiment | best trial ({best.number}) | best quarter ({len(good)}) |",
         "|---|---|---|---|---|",
         f"| cost [95 %] | | {_judged(start)} | {_judged(best)} | to {_number(_cost(good[-1]))} |",
         f"| tables lost | | {'-' if start is None else start.lost} | {best.lost} "
@@ -180,8 +180,8 @@ def markdown(trace: Trace, figures: str) -> str:
             f"| {knob.meaning} | {_searched(knob)} | {_number(trace.own[knob.name])} "
             f"| {_number(best.values[knob.name])} | {span} |"
         )
-    figure = f"{figures}/{file_name(trace.recipe)}.png"
-    caption = f"Cost of each trial of {trace.recipe} over each value that was searched"
+    figure = f"{figures}/{file_name(trace.experiment)}.png"
+    caption = f"Cost of each trial of {trace.experiment} over each value that was searched"
     return "\n".join([*lines, "", f"![{caption}]({figure})", ""])
 
 
@@ -213,6 +213,6 @@ def _chosen(knob: Choice, drawn: Sequence[Value]) -> str:
 
 
 def put_searches(page: str | PathLike[str], traces: Sequence[Trace], figures: str = "figures") -> None:
-    """Put all searches into a page, at ``<!-- recipe searches -->``; see `marked_page.put`."""
+    """Put all searches into a page, at ``<!-- training searches -->``; see `marked_page.put`."""
     page = Path(page)
-    put(page, "recipe searches", "\n".join(markdown(trace, figures) for trace in traces))
+    put(page, "training searches", "\n".join(markdown(trace, figures) for trace in traces))

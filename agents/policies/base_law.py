@@ -34,7 +34,7 @@ def base_law(
 def at_own_cost(scenario: Scenario, name: str) -> Scenario:
     """Return a scenario with the objective and the soft limits of the named one.
 
-    A recipe may change what its learner is charged; the law that it corrects stays the one that was
+    An experiment may change what its learner is charged; the law that it corrects stays the one that was
     tuned at the named scenario's own cost.
     """
     named = make_scenario(name)

@@ -9,14 +9,14 @@ from typing import Any
 from agents.reporting.markdown_blocks import has_place, put
 
 COLUMNS = (
-    "controller", "runs", "cost / {yardstick}", "IQM", "worst 5 %", "cost / {reference}",
+    "controller", "runs", "cost / {normaliser}", "IQM", "worst 5 %", "cost / {reference}",
     "P(better than {reference})", "shear % rms", "accel. % rms", "failures", "us",
 )  # fmt: skip
 
 
 def markdown(result: dict[str, Any]) -> str:
     """Return a result as a Markdown table with what is needed to read it."""
-    same = result["yardstick"] == result["reference"]
+    same = result["normaliser"] == result["reference"]
     head = [column.format(**result) for column in COLUMNS]
     names = ["drift_error", "energy_error", "regret_closed", "optimality"]
     shown = [name for name in names if any(row[name] is not None for row in result["rows"])]
@@ -64,8 +64,8 @@ def _scale(name: str) -> float:
 
 
 def ranked(result: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows by cost, the yardstick first."""
-    first = result["yardstick"]
+    """Return the rows by cost, the normaliser first."""
+    first = result["normaliser"]
     return sorted(result["rows"], key=lambda r: (r["controller"] != first, r["relative_cost"]["value"]))
 
 

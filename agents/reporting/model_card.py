@@ -18,7 +18,7 @@ from agents.scenario_options import given_options
 from shake_env.errors import ParameterError
 
 ROWS = (
-    ("relative_cost", "cost / {yardstick}", 3, 1.0),
+    ("relative_cost", "cost / {normaliser}", 3, 1.0),
     ("interquartile_mean", "interquartile mean of that", 3, 1.0),
     ("worst_twentieth", "worst 5 % of that", 3, 1.0),
     ("reference_cost", "cost / {reference}", 3, 1.0),
@@ -195,7 +195,7 @@ def config_base(config: dict[str, Any]) -> str:
 
 
 def _evaluation(result: dict[str, Any], row: dict[str, Any], sha: str) -> list[str]:
-    where = result.get("arena", result["scenario"])
+    where = result.get("evaluation_task", result["scenario"])
     lines = [
         f"## Evaluation on {where}",
         "",
@@ -205,13 +205,13 @@ def _evaluation(result: dict[str, Any], row: dict[str, Any], sha: str) -> list[s
     if row["runs"] > 1:
         place = [source["sha256"] for source in row["sources"]].index(sha)
         lines += [
-            f"The figures are of all {row['runs']} seeds of the recipe; this one's cost relative to "
-            f"{result['yardstick']} is {row['run_costs'][place]:.4f}.",
+            f"The figures are of all {row['runs']} seeds of the experiment; this one's cost relative to "
+            f"{result['normaliser']} is {row['run_costs'][place]:.4f}.",
             "",
         ]
     lines += ["| figure | value |", "|---|---|"]
     for key, title, digits, scale in ROWS:
-        repeated = key == "reference_cost" and result["reference"] == result["yardstick"]
+        repeated = key == "reference_cost" and result["reference"] == result["normaliser"]
         if row[key] is not None and not repeated:
             lines.append(f"| {title.format(**result)} | {interval(row[key], digits, scale)} |")
     lines.append(f"| episodes that a limit ended | {row['failures']} of {row['episodes']} |")
@@ -239,7 +239,7 @@ def _limits(
         lines.append("- Amplitudes other than those of training were not learned.")
     for result, row in found:
         if row["failures"]:
-            where = result.get("arena", result["scenario"])
+            where = result.get("evaluation_task", result["scenario"])
             lines.append(f"- On {where} a limit ended {row['failures']} of {row['episodes']} episodes.")
     if limits:
         lines.append(f"- {limits}")

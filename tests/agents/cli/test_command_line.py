@@ -142,7 +142,7 @@ def test_a_mistaken_command_gets_the_nearest_one(capsys):
 def test_completion_knows_commands_and_options():
     done = shake("--tyro-print-completion", "bash")
     assert done.returncode == 0
-    assert "recipe-search" in done.stdout and "--control-rate" in done.stdout
+    assert "tune-training" in done.stdout and "--control-rate" in done.stdout
 
 
 # Quiet and verbose
@@ -325,7 +325,7 @@ def test_the_usual_folder_is_numbered_and_a_given_one_never_overwritten(tmp_path
         "robustness --output {}", "components --output {}", "validate --output {}",
         "reproduce --output {}", "export analytic {}/x.onnx", "watch --save {}/x.gif",
         "tune pid --scenario laboratory --output {}/x.json", "benchmark --results {}",
-        "recipe-search linear/ppo --storage {}/x.db",
+        "tune-training linear/ppo --storage {}/x.db",
     ],
 )  # fmt: skip
 def test_unwritable_output_is_found_before_the_work_begins(words, tmp_path, monkeypatch, capsys):

@@ -67,7 +67,7 @@ def test_costs_are_those_of_compare(scenario, result):
 
 def test_the_yardstick_of_a_linear_table_is_the_optimum(scenario, result):
     assert result["optimal_cost"] == sampled_lqr(scenario.discrete, scenario.stage_cost).analytic_cost
-    assert (result["yardstick"], result["reference"]) == ("lqr", "lqr")
+    assert (result["normaliser"], result["reference"]) == ("lqr", "lqr")
     by_name = {row["controller"]: row for row in result["rows"]}
     assert by_name["lqr"]["relative_cost"] == {"value": 1.0, "low": 1.0, "high": 1.0}
     # Tables begin at rest: two seconds cost a little less than stationary ones.
@@ -114,7 +114,7 @@ def test_an_unknown_specimen_is_measured_by_the_oracle():
     unknown = {"uncertainty.mass_ratio": [0.3, 0.7]}
     scenario = make_scenario("laboratory", {"duration": 2.0, "fields": unknown})
     result = evaluate(scenario, [Entry("none")], earthquakes=3, repeats=False, resamples=50)
-    assert (result["yardstick"], result["reference"], result["optimal_cost"]) == (
+    assert (result["normaliser"], result["reference"], result["optimal_cost"]) == (
         "oracle", "lqg", None,
     )  # fmt: skip
     by_name = {row["controller"]: row for row in result["rows"]}
@@ -132,11 +132,11 @@ def test_an_unknown_specimen_is_measured_by_the_oracle():
 def test_no_regret_is_told_where_the_oracle_costs_more_than_the_reference():
     cheap, dear = np.full((1, 4), 1.0), np.full((1, 4), 2.0)
     found = cost_figures(
-        np.full((1, 4), 1.5), yardstick=dear, reference=cheap, optimum=None, resamples=10
+        np.full((1, 4), 1.5), normaliser=dear, reference=cheap, optimum=None, resamples=10
     )
     assert found["regret_closed"] is None
     found = cost_figures(
-        np.full((1, 4), 1.5), yardstick=cheap, reference=dear, optimum=None, resamples=10
+        np.full((1, 4), 1.5), normaliser=cheap, reference=dear, optimum=None, resamples=10
     )
     assert found["regret_closed"]["value"] == pytest.approx(0.5)
 

@@ -214,8 +214,8 @@ def test_an_unchanged_scenario_has_its_own_controller_and_noise():
 
 
 def test_who_is_compared_unless_told_otherwise():
-    for name, rivals in DEFAULT_BASELINES.items():
-        assert set(default_controllers(make_scenario(name))) >= set(rivals)
+    for name, baselines in DEFAULT_BASELINES.items():
+        assert set(default_controllers(make_scenario(name))) >= set(baselines)
     assert "apg" in default_controllers(make_scenario("laboratory"))
     chosen, sources = controllers_with_sources((), make_scenario("linear"))
     assert next(iter(chosen.controllers)) == "lqr"

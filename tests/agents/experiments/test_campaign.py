@@ -11,8 +11,8 @@ import pytest
 
 from agents.__main__ import main
 from agents.evaluation.protocol import evaluate, find_entry
-from agents.experiments.recipes import ARENAS, RECIPES, Arena, Recipe
-from agents.experiments.results import evaluate_arena
+from agents.experiments.catalogue import EVALUATION_TASKS, EXPERIMENTS, EvaluationTask, ExperimentConfig
+from agents.experiments.results import evaluate_task
 from agents.experiments.runner import Campaign, plan, plan_rows
 from agents.policies.base_law import base_law
 from agents.policies.estimated_law import EstimatedLaw
@@ -34,9 +34,9 @@ SMALL = TrainConfig(
     evaluation_earthquakes=1,
     checkpoint_interval=1e-9,
 )
-GOOD = Recipe(arena="linear", config=SMALL, minutes=0.1, seeds=1)
-BAD = Recipe(
-    arena="linear",
+GOOD = ExperimentConfig(evaluation_task="linear", config=SMALL, minutes=0.1, seeds=1)
+BAD = ExperimentConfig(
+    evaluation_task="linear",
     label="bad",
     config=TrainConfig(scenario=ScenarioOptions("nowhere")),
     minutes=0.1,
@@ -89,7 +89,9 @@ def test_a_run_that_fails_is_reported_and_stops_no_other(campaigned):
 def test_what_is_done_is_done_and_another_configuration_is_left_alone(campaigned):
     folder, _, _ = campaigned
     assert plan([GOOD], folder)[0].state == "done"
-    changed = Recipe(arena="linear", config=TrainConfig(total_timesteps=99), minutes=0.1, seeds=1)
+    changed = ExperimentConfig(
+        evaluation_task="linear", config=TrainConfig(total_timesteps=99), minutes=0.1, seeds=1
+    )
     tasks = plan([changed], folder)
     assert tasks[0].state == "foreign"
     campaign = Campaign(tasks)
@@ -101,25 +103,27 @@ def test_what_is_done_is_done_and_another_configuration_is_left_alone(campaigned
 def test_an_evaluation_holds_until_its_policies_change(campaigned, tmp_path):
     folder = tmp_path / "campaign"
     shutil.copytree(campaigned[0], folder)
-    arena = Arena(name="linear", options=ScenarioOptions(duration=1.0), rivals=("none",), earthquakes=2)
-    file, result, made = evaluate_arena(arena, folder, tmp_path / "results")
+    task = EvaluationTask(
+        name="linear", options=ScenarioOptions(duration=1.0), baselines=("none",), earthquakes=2
+    )
+    file, result, made = evaluate_task(task, folder, tmp_path / "results")
     assert made
     assert {row["controller"] for row in result["rows"]} == {"lqr", "ppo", "none"}
-    assert not evaluate_arena(arena, folder, tmp_path / "results")[2]
+    assert not evaluate_task(task, folder, tmp_path / "results")[2]
     assert json.loads(file.read_text())["identity"] == result["identity"]
     shutil.copytree(folder / "linear/ppo/0", folder / "linear/ppo/1")
-    _, result, made = evaluate_arena(arena, folder, tmp_path / "results")
+    _, result, made = evaluate_task(task, folder, tmp_path / "results")
     assert made
     assert next(row for row in result["rows"] if row["controller"] == "ppo")["runs"] == 2
 
     # A row whose policies are gone stays beside a new one, and so does a row of whose policies some are
     # gone: both keep the figures of what they were made of.
     (folder / "linear/ppo/1").rename(folder / "linear/other")
-    assert not evaluate_arena(arena, folder, tmp_path / "results")[2]
+    assert not evaluate_task(task, folder, tmp_path / "results")[2]
     shutil.rmtree(folder / "linear/ppo")
     (folder / "linear/sac").mkdir()
     (folder / "linear/other").rename(folder / "linear/sac/0")
-    _, later, made = evaluate_arena(arena, folder, tmp_path / "results")
+    _, later, made = evaluate_task(task, folder, tmp_path / "results")
     assert made
     before, after = ({row["controller"]: row for row in r["rows"]} for r in (result, later))
     assert after.pop("sac")["run_costs"] == before["ppo"]["run_costs"][:1]
@@ -136,16 +140,16 @@ def test_an_evaluation_holds_until_its_policies_change(campaigned, tmp_path):
     later["identity"]["rows"]["sac"] = ["0" * 64, "1" * 64]
     file.write_text(json.dumps(later))
     with pytest.raises(ParameterError, match="1 in the folder, not all of them among the 2"):
-        evaluate_arena(arena, folder, tmp_path / "results")
+        evaluate_task(task, folder, tmp_path / "results")
     later["identity"]["rows"] = {"ppo": fewer}
     later["episodes"]["none"]["cost"][0][0] *= 1.01
     file.write_text(json.dumps(later))
     with pytest.raises(ParameterError, match="its costs differ"):
-        evaluate_arena(arena, folder, tmp_path / "results")
-    other = replace(arena, options=ScenarioOptions(duration=1.0, set=("objective.force_weight=2",)))
+        evaluate_task(task, folder, tmp_path / "results")
+    other = replace(task, options=ScenarioOptions(duration=1.0, set=("objective.force_weight=2",)))
     with pytest.raises(ParameterError, match="no result of linear as it is asked for now"):
-        evaluate_arena(other, folder, tmp_path / "results")
-    assert evaluate_arena(other, folder, tmp_path / "results", again=True)[2]
+        evaluate_task(other, folder, tmp_path / "results")
+    assert evaluate_task(other, folder, tmp_path / "results", again=True)[2]
 
 
 def test_a_run_of_another_version_is_foreign_and_never_touched(tmp_path):
@@ -197,24 +201,30 @@ def test_a_worker_whose_campaign_is_gone_ends(tmp_path):
 
 
 def test_recipes_are_sound():
-    names = [recipe.name for recipe in RECIPES]
+    names = [experiment.name for experiment in EXPERIMENTS]
     assert len(set(names)) == len(names)
-    arenas = {arena.name: arena for arena in ARENAS}
-    for recipe in RECIPES:
-        scenario = recipe.config.scenario.build()
-        tested = arenas[recipe.arena].options
-        trained = recipe.config.scenario
+    tasks = {task.name: task for task in EVALUATION_TASKS}
+    for experiment in EXPERIMENTS:
+        scenario = experiment.config.scenario.build()
+        tested = tasks[experiment.evaluation_task].options
+        trained = experiment.config.scenario
         assert replace(trained, set=tested.set) == tested
         assert trained.set[: len(tested.set)] == tested.set  # what differs in training is named behind
-        law = base_law(recipe.config.chosen.base_controller, scenario)
+        law = base_law(experiment.config.chosen.base_controller, scenario)
         size = law.observation_size if isinstance(law, EstimatedLaw) else len(law)
         assert size == scenario.observation.size
-    for arena in ARENAS:
-        scenario = arena.options.build()
-        assert (arena.trained_on or arena.name) in {recipe.arena for recipe in RECIPES}
-        for rival in arena.rivals:
+    for task in EVALUATION_TASKS:
+        scenario = task.options.build()
+        assert (task.trained_on or task.name) in {
+            experiment.evaluation_task for experiment in EXPERIMENTS
+        }
+        for rival in task.baselines:
             assert find_entry(rival, scenario).name == rival
-    assert {recipe.config.algorithm for recipe in RECIPES if recipe.arena == "linear"} == set(ALGORITHMS)
+    assert {
+        experiment.config.algorithm
+        for experiment in EXPERIMENTS
+        if experiment.evaluation_task == "linear"
+    } == set(ALGORITHMS)
 
 
 def test_seeds_stay_below_those_of_evaluation():
@@ -245,10 +255,10 @@ def test_the_plan_is_printed_with_minutes(tmp_path, capsys):
 
 
 def test_only_names_recipes(tmp_path):
-    assert len(plan(RECIPES, tmp_path, ["linear/ppo"], 3)) == 3
+    assert len(plan(EXPERIMENTS, tmp_path, ["linear/ppo"], 3)) == 3
     with pytest.raises(ScenarioError, match="did you mean 'linear/ppo'"):
-        plan(RECIPES, tmp_path, ["linear/pp"])
-    assert {row["recipe"] for row in plan_rows(plan(RECIPES, tmp_path, ["*/sac"]))} == {
+        plan(EXPERIMENTS, tmp_path, ["linear/pp"])
+    assert {row["experiment"] for row in plan_rows(plan(EXPERIMENTS, tmp_path, ["*/sac"]))} == {
         "linear/sac",
         "yielding/sac",
     }

@@ -1,4 +1,4 @@
-"""A recipe's search: valid values, the same trials however often it is cut, a trace that is kept."""
+"""The search of an experiment: valid values, the same trials however often it is cut, its trace."""
 
 import json
 import math
@@ -11,11 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.__main__ import main
-from agents.experiments import recipes
-from agents.experiments.recipes import RECIPES, Recipe
-from agents.experiments.search import Search, find_recipe, open_study, search_recipe, trace_of
+from agents.experiments import catalogue
+from agents.experiments.catalogue import EXPERIMENTS, ExperimentConfig
+from agents.experiments.search import Search, find_experiment, open_study, search_training, trace_of
 from agents.experiments.search_figure import search_figure
-from agents.experiments.search_objective import Judge, OutOfTimeError, PrunedError, Validation
+from agents.experiments.search_objective import (
+    OutOfTimeError,
+    PrunedError,
+    PruningCallback,
+    ValidationSet,
+)
 from agents.experiments.search_space import Choice, Range, own_values, space, suitable_laws, trial_config
 from agents.experiments.search_trace import (
     Trace,
@@ -42,28 +47,28 @@ SMALL = TrainConfig(
     evaluation_earthquakes=1,
     checkpoint_interval=1e-9,
 )
-TINY = Recipe(arena="linear", config=SMALL, minutes=0.1)
-SEARCH = Search(recipe=TINY, share=0.5, earthquakes=2)
+TINY = ExperimentConfig(evaluation_task="linear", config=SMALL, minutes=0.1)
+SEARCH = Search(experiment=TINY, share=0.5, earthquakes=2)
 
 
 # The space
 
 
-@pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.name)
-def test_whatever_is_drawn_is_a_valid_run_and_the_recipe_is_among_it(recipe):
-    knobs, own = space(recipe), own_values(recipe)
-    start = trial_config(recipe, {knob.name: own[knob.name] for knob in knobs}, 1.0)
-    assert start.chosen == recipe.config.chosen
-    assert (start.steps, start.lookahead) == (recipe.config.steps, recipe.config.lookahead)
+@pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda experiment: experiment.name)
+def test_whatever_is_drawn_is_a_valid_run_and_the_recipe_is_among_it(experiment):
+    knobs, own = space(experiment), own_values(experiment)
+    start = trial_config(experiment, {knob.name: own[knob.name] for knob in knobs}, 1.0)
+    assert start.chosen == experiment.config.chosen
+    assert (start.steps, start.lookahead) == (experiment.config.steps, experiment.config.lookahead)
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=1))
     drawn = set()
     for _ in range(25):
         trial = study.ask()
         values = {knob.name: knob.suggest(trial) for knob in knobs}
-        config = trial_config(recipe, values, 0.3)  # its own checks are TrainConfig's
+        config = trial_config(experiment, values, 0.3)  # its own checks are TrainConfig's
         assert config_of(json.loads(json.dumps(config.to_json()))) == config
-        assert config.steps == math.ceil(0.3 * recipe.config.steps)
-        assert config.scenario == recipe.config.scenario
+        assert config.steps == math.ceil(0.3 * experiment.config.steps)
+        assert config.scenario == experiment.config.scenario
         drawn.add(json.dumps(config.to_json()))
     assert len(drawn) == 25
     for knob in knobs:
@@ -79,24 +84,24 @@ def test_a_batch_divides_every_roll_out(tables, length, data):
     samples = tables * length
     parts = data.draw(st.sampled_from([n for n in range(1, 17) if samples % n == 0]))
     options = PPOOptions(n_envs=tables, n_steps=length, batch_size=samples // parts)
-    recipe = Recipe(arena="linear", config=TrainConfig(ppo=options), minutes=1.0)
-    knobs = {knob.name: knob for knob in space(recipe)}
+    experiment = ExperimentConfig(evaluation_task="linear", config=TrainConfig(ppo=options), minutes=1.0)
+    knobs = {knob.name: knob for knob in space(experiment)}
     for steps in knobs["n_steps"].values:
         for pieces in knobs["minibatches"].values:
-            config = trial_config(recipe, {"n_steps": steps, "minibatches": pieces}, 1.0)
+            config = trial_config(experiment, {"n_steps": steps, "minibatches": pieces}, 1.0)
             assert config.ppo.batch_size * pieces == tables * steps
-    own = own_values(recipe)
-    assert trial_config(recipe, {n: own[n] for n in knobs}, 1.0).ppo == options
+    own = own_values(experiment)
+    assert trial_config(experiment, {n: own[n] for n in knobs}, 1.0).ppo == options
 
 
 def test_a_search_keeps_what_a_recipe_claims():
-    assert suitable_laws(find_recipe("linear/ppo")) == ("none",)  # from nothing
-    assert suitable_laws(find_recipe("linear/sac")) == ("flow",)  # LQR is the optimum there
-    assert "lqr" in suitable_laws(find_recipe("yielding/sac"))
-    laws = suitable_laws(find_recipe("laboratory/apg"))
+    assert suitable_laws(find_experiment("linear/ppo")) == ("none",)  # from nothing
+    assert suitable_laws(find_experiment("linear/sac")) == ("flow",)  # LQR is the optimum there
+    assert "lqr" in suitable_laws(find_experiment("yielding/sac"))
+    laws = suitable_laws(find_experiment("laboratory/apg"))
     assert "lqg-dac" in laws and not {"none", "flow", "lqr", "preview-lqr"} & set(laws)
-    assert "gru_hidden_size" in own_values(find_recipe("unknown-specimen/apg"))
-    assert "gru_hidden_size" not in own_values(find_recipe("linear/apg"))
+    assert "gru_hidden_size" in own_values(find_experiment("unknown-specimen/apg"))
+    assert "gru_hidden_size" not in own_values(find_experiment("linear/apg"))
 
 
 def test_ranges_widen_to_what_a_recipe_has():
@@ -112,7 +117,7 @@ def test_its_earthquakes_are_nobody_elses():
     config = trial_config(TINY, {}, 0.5)
     first = config.seed * 100_000
     assert first + 10_000 < EVALUATION_SEED  # lanes begin at consecutive seeds
-    seeds = [quake.seed for quake in Validation(TINY, 3).earthquakes]
+    seeds = [quake.seed for quake in ValidationSet(TINY, 3).earthquakes]
     assert seeds == [3_000_000, 3_000_001, 3_000_002]
     assert EVALUATION_SEED < 2_000_000 < seeds[0] < seeds[-1] < TEST_SEED
 
@@ -121,7 +126,7 @@ def test_its_earthquakes_are_nobody_elses():
 
 
 def test_the_reference_costs_what_it_costs():
-    validation = Validation(TINY, 2)
+    validation = ValidationSet(TINY, 2)
     found = validation.judge(lqr(validation.scenario))
     assert found == {"cost": 1.0, "low": 1.0, "high": 1.0, "lost": 0}
     assert validation.reference == "lqr" and validation.reference_lost == 0
@@ -130,16 +135,16 @@ def test_the_reference_costs_what_it_costs():
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
-    return search_recipe(SEARCH, folder / "r.db", folder, trials=3)
+    return search_training(SEARCH, folder / "r.db", folder, trials=3)
 
 
 def essence(trace):
     """What decides a trial and what came of it; numbers have gaps where a trial was cut."""
-    return [(row.values, row.cost, row.ratio, row.lost, row.state, row.recipe) for row in trace.trials]
+    return [(row.values, row.cost, row.ratio, row.lost, row.state, row.default) for row in trace.trials]
 
 
-def test_the_first_trial_is_the_recipe(whole):
-    assert [row.recipe for row in whole.trials] == [True, False, False]
+def test_the_first_trial_is_the_experiment(whole):
+    assert [row.default for row in whole.trials] == [True, False, False]
     assert whole.trials[0].values == whole.own
     assert whole.start.cost == whole.trials[0].cost > 0.0
     assert whole.best.cost == min(row.cost for row in whole.trials)
@@ -159,10 +164,10 @@ def test_a_search_that_was_cut_ends_as_one_that_was_not(whole, tmp_path, late, t
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        search_recipe(SEARCH, storage, tmp_path, trials=trials, on_update=cut)
-    assert len(search_recipe(SEARCH, storage, tmp_path, trials=1).trials) == 1
+        search_training(SEARCH, storage, tmp_path, trials=trials, on_update=cut)
+    assert len(search_training(SEARCH, storage, tmp_path, trials=1).trials) == 1
     seen = []
-    again = search_recipe(SEARCH, storage, tmp_path, trials=trials, on_update=seen.append)
+    again = search_training(SEARCH, storage, tmp_path, trials=trials, on_update=seen.append)
     assert essence(again) == essence(whole)[:trials]
     assert (tmp_path / SEARCH.name / "1" / "result.json").exists()  # the run that was cut, gone on with
     assert not (tmp_path / SEARCH.name / "2").exists()
@@ -170,14 +175,14 @@ def test_a_search_that_was_cut_ends_as_one_that_was_not(whole, tmp_path, late, t
     assert [now.done for now in seen if now.progress is None] == list(range(2, trials + 1))
     assert seen[-1].seconds_left == 0.0 and seen[-1].best == again.best.cost
     # What is done is not done again.
-    assert search_recipe(SEARCH, storage, tmp_path, trials=trials) == again
+    assert search_training(SEARCH, storage, tmp_path, trials=trials) == again
 
 
 def test_time_ends_a_search_and_the_trial_stays(tmp_path):
-    trace = search_recipe(SEARCH, tmp_path / "r.db", tmp_path, trials=3, minutes=1e-9)
+    trace = search_training(SEARCH, tmp_path / "r.db", tmp_path, trials=3, minutes=1e-9)
     assert trace.trials == ()
     study = open_study(SEARCH, tmp_path / "r.db")
-    judge = Judge(study.ask(), trial_config(TINY, {}, 0.5), tmp_path, until=0.0)
+    judge = PruningCallback(study.ask(), trial_config(TINY, {}, 0.5), tmp_path, until=0.0)
     with pytest.raises(OutOfTimeError):
         judge(Progress(10, 512, 1.0, None))
     judge(Progress(512, 512, 1.0, None))  # a run that is through is not thrown away
@@ -203,7 +208,7 @@ def led(tmp_path):
 
 def test_a_trial_behind_the_others_is_ended(led, tmp_path):
     search, study = led
-    search_recipe(search, tmp_path / "r.db", tmp_path, trials=6)
+    search_training(search, tmp_path / "r.db", tmp_path, trials=6)
     last = study.get_trials()[-1]
     assert last.state.name == "PRUNED" and "cost" not in last.user_attrs
     assert last.user_attrs["ratio"] == min(last.intermediate_values.values()) > 1e-3
@@ -218,7 +223,7 @@ def test_what_is_judged_is_the_policy_that_a_run_keeps(led, tmp_path):
     def evaluated(*rows):
         lines = [json.dumps({"steps": s, "cost_ratio": c}) for s, c in rows]
         (tmp_path / "evaluations.jsonl").write_text("\n".join(lines))
-        return Judge(study.ask(), config, tmp_path)
+        return PruningCallback(study.ask(), config, tmp_path)
 
     judge = evaluated((0, 1e-4), (512, math.nan), (640, 9.0))
     judge(now)  # its first is ahead of every other trial
@@ -232,7 +237,7 @@ def test_what_is_judged_is_the_policy_that_a_run_keeps(led, tmp_path):
 def test_a_storage_with_another_recipe_and_a_foreign_run_are_left_alone(tmp_path):
     storage = tmp_path / "r.db"
     open_study(SEARCH, storage)
-    other = replace(SEARCH, recipe=replace(TINY, config=replace(SMALL, hidden=(16,))))
+    other = replace(SEARCH, experiment=replace(TINY, config=replace(SMALL, net_arch=(16,))))
     with pytest.raises(ParameterError, match="another --storage"):
         open_study(other, storage)
     config, knobs = json.loads(SEARCH.identity())
@@ -245,7 +250,7 @@ def test_a_storage_with_another_recipe_and_a_foreign_run_are_left_alone(tmp_path
     run.mkdir(parents=True)
     (run / "config.json").write_text(json.dumps(SMALL.to_json()))
     with pytest.raises(RunDirectoryError, match="move it away"):
-        search_recipe(SEARCH, storage, tmp_path, trials=1)
+        search_training(SEARCH, storage, tmp_path, trials=1)
     assert trace_of(SEARCH, open_study(SEARCH, storage)).trials == ()
 
 
@@ -254,7 +259,7 @@ def test_two_processes_do_not_run_one_search(tmp_path):
         locked(tmp_path / SEARCH.name),
         pytest.raises(RunDirectoryError, match=f"in use by process {os.getpid()}"),
     ):
-        search_recipe(SEARCH, tmp_path / "r.db", tmp_path, trials=1)
+        search_training(SEARCH, tmp_path / "r.db", tmp_path, trials=1)
 
 
 @pytest.mark.parametrize(
@@ -274,7 +279,9 @@ def test_what_cannot_be_searched_is_named(changed, remedy):
 def test_a_share_that_ends_within_the_warm_up_is_named():
     config = TrainConfig(algorithm="sac", sac=SACOptions(learning_starts=20_000))
     with pytest.raises(ParameterError, match=r"above 0\.08"):
-        Search(recipe=Recipe(arena="linear", config=config, minutes=1.0), share=0.05)
+        Search(
+            experiment=ExperimentConfig(evaluation_task="linear", config=config, minutes=1.0), share=0.05
+        )
 
 
 # The trace
@@ -282,11 +289,11 @@ def test_a_share_that_ends_within_the_warm_up_is_named():
 
 def made(**changed):
     """A trace with a trial of each kind."""
-    knobs = space(find_recipe("yielding/sac"))
-    own = {k.name: own_values(find_recipe("yielding/sac"))[k.name] for k in knobs}
+    knobs = space(find_experiment("yielding/sac"))
+    own = {k.name: own_values(find_experiment("yielding/sac"))[k.name] for k in knobs}
     held = {"low": 0.9, "high": 1.1, "lost": 0, "ratio": 1.0, "seconds": 3_600.0, "code": "abc"}
     rows = [
-        TrialRow(number=0, state="complete", values=own, cost=1.0, recipe=True, **held),
+        TrialRow(number=0, state="complete", values=own, cost=1.0, default=True, **held),
         TrialRow(
             number=1, state="pruned", values={**own, "discount_horizon": 1.5}, cost=None, ratio=4.0
         ),
@@ -301,7 +308,7 @@ def made(**changed):
         TrialRow(number=5, state="failed", values=own, cost=None, failure="ValueError: nan"),
     ]
     values = {
-        "recipe": "yielding/sac", "share": 0.3, "steps": 75_000, "seed": 0, "train_seed": 9,
+        "experiment": "yielding/sac", "share": 0.3, "steps": 75_000, "seed": 0, "train_seed": 9,
         "earthquakes": 64, "validation_seed": 3_000_000, "reference": "preview-lqr",
         "reference_lost": 0, "version": "1", "machine": "m", "space": knobs, "own": own,
         "trials": tuple(rows),
@@ -333,7 +340,7 @@ def test_a_trace_that_cannot_be_is_named(tmp_path):
 
 def test_a_page_gets_its_searches_between_the_markers(tmp_path):
     page = tmp_path / "page.md"
-    page.write_text("before\n<!-- recipe searches -->\nold\n<!-- end recipe searches -->\nafter\n")
+    page.write_text("before\n<!-- training searches -->\nold\n<!-- end training searches -->\nafter\n")
     put_searches(page, [made()])
     first = page.read_text()
     put_searches(page, [made()])
@@ -341,11 +348,11 @@ def test_a_page_gets_its_searches_between_the_markers(tmp_path):
     assert first.startswith("before\n") and first.endswith("\nafter\n") and "old" not in first
     assert "| cost [95 %] | | 1 [0.9, 1.1] | 0.8 [0.9, 1.1] | to 0.8 |" in first
     assert "3 complete, 1 failed, 1 pruned" in first and "3.0 hours" in first
-    assert "figures/recipe_yielding_sac.png" in first
+    assert "figures/training_search_yielding_sac.png" in first
     assert "No trial came to be judged" in markdown(made(trials=made().trials[1:2]), "figures")
     put_searches(page, [])
     assert page.read_text() == (
-        "before\n<!-- recipe searches -->\n<!-- end recipe searches -->\nafter\n"
+        "before\n<!-- training searches -->\n<!-- end training searches -->\nafter\n"
     )
     page.write_text("nothing\n")
     with pytest.raises(ParameterError, match="put the lines"):
@@ -358,9 +365,9 @@ def test_a_figure_has_a_panel_for_each_value(tmp_path):
 
 
 def test_the_command_goes_on_keeps_and_renews(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(recipes, "RECIPES", (TINY,))
+    monkeypatch.setattr(catalogue, "EXPERIMENTS", (TINY,))
     kept, page = tmp_path / "kept" / "recipe_linear_ppo.json", tmp_path / "page.md"
-    page.write_text("<!-- recipe searches -->\n<!-- end recipe searches -->\n")
+    page.write_text("<!-- training searches -->\n<!-- end training searches -->\n")
     words = ["tune-training", "linear/ppo", "--step-fraction", "0.5", "--earthquakes", "2", "--json"]
     words += ["--storage", str(tmp_path / "r.db"), "--folder", str(tmp_path / "runs")]
     assert main([*words, "--trials", "1"]) == 0
@@ -377,4 +384,4 @@ def test_the_command_goes_on_keeps_and_renews(tmp_path, monkeypatch, capsys):
     assert main(["tune-training", "linear/pop"]) == 2
     assert "linear/ppo" in capsys.readouterr().err
     with pytest.raises(ScenarioError):
-        find_recipe("linear/sac")
+        find_experiment("linear/sac")

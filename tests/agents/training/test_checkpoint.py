@@ -15,7 +15,7 @@ from safetensors.numpy import save_file
 
 from agents.__main__ import main
 from agents.evaluation.protocol import find_entry
-from agents.experiments.recipes import Recipe
+from agents.experiments.catalogue import ExperimentConfig
 from agents.experiments.runner import Task
 from agents.policies.registry import get_controller
 from agents.run_directory import append_row, evaluations, locked
@@ -232,7 +232,7 @@ def test_a_result_counts_only_when_it_is_complete(trained, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(trained / "whole", run)
     text = (run / "result.json").read_text()
-    task = Task(Recipe(arena="linear", config=CONFIG, minutes=0.1), CONFIG, run)
+    task = Task(ExperimentConfig(evaluation_task="linear", config=CONFIG, minutes=0.1), CONFIG, run)
     task.look()
     assert task.state == "done"
     for half in (text[: len(text) // 2], "{}", text.replace('"steps": 192', '"steps": "192"'), ""):

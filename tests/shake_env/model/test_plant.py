@@ -465,7 +465,7 @@ def test_state_scale_is_the_rms_under_perfect_tracking():
         np.sum(response * (30.0 / np.cos(theta) ** 2)[:, None], axis=0) * (theta[1] - theta[0]) / math.pi
     )
     assert p.state_scale[exogenous] == pytest.approx(np.sqrt(variance), rel=1e-4)
-    # The specimen on the table is measured by the reference's yardstick.
+    # The specimen on the table is measured by the reference's normaliser.
     assert np.array_equal(p.state_scale[p.layout.specimen], p.state_scale[p.layout.reference])
     # v_a: integral of y~, rms sqrt(zeta_g / omega_g).
     assert p.state_scale[p.layout.actuator][2] == pytest.approx(

@@ -1,7 +1,8 @@
-"""What a campaign trains: a configuration for each scenario and algorithm, and who is run beside them.
+"""The experiments: a training configuration for each scenario and algorithm, and how it is evaluated.
 
-A recipe is the algorithm's defaults (see `config`) with as few deviations as its scenario needs, each
-with its reason. Minutes are for planning: one process on one core, from the rate of its first updates.
+An experiment is the algorithm's defaults (see `config`) with as few deviations as its scenario needs,
+each with its reason. Minutes are for planning: one process on one core, from the rate of its first
+updates.
 """
 
 from __future__ import annotations
@@ -24,32 +25,32 @@ from shake_env.errors import ParameterError
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arena:
+class EvaluationTask:
     """Something to be tested on: a scenario, how often, and the controllers beside the policies."""
 
     name: str
     options: ScenarioOptions
-    rivals: tuple[str, ...]  # classical controllers with the same information; the reference is implied
+    baselines: tuple[str, ...]  # controllers with the same information, beside the reference
     earthquakes: int = 200
     fidelity: bool = True  # whether response spectrum, drift and energy are compared: most of the time
-    trained_on: str | None = None  # arena whose policies it takes; None: its own
+    trained_on: str | None = None  # task whose policies it takes; None: its own
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recipe:
+class ExperimentConfig:
     """One configuration of a campaign, to be run with several seeds."""
 
-    arena: str
+    evaluation_task: str
     config: TrainConfig
     minutes: float  # expected, of one run
     seeds: int = 5
-    label: str | None = None  # where an algorithm has several recipes in one arena
+    label: str | None = None  # where an algorithm has several experiments in one evaluation task
     why: str = "the algorithm's defaults"
 
     @property
     def name(self) -> str:
         """``SCENARIO/ALGORITHM``."""
-        return f"{self.arena}/{self.label or self.config.algorithm}"
+        return f"{self.evaluation_task}/{self.label or self.config.algorithm}"
 
     def with_seed(self, seed: int) -> TrainConfig:
         """Return the configuration of one run.
@@ -64,7 +65,7 @@ class Recipe:
         return replace(self.config, seed=seed)
 
 
-LABORATORY_RIVALS = (
+LABORATORY_BASELINES = (
     "lqg", "lqg-dac", "h-infinity", "inverse-ff-tvc", "lqg-searched", "lqg-searched-force", "tvc",
     "none",
 )  # fmt: skip
@@ -73,47 +74,53 @@ FRICTION = ScenarioOptions(set=("nonlinearity.friction.coulomb=300",))
 # loses a third instead of a sixth, and there is more to learn: a warning, and what coarse plants report.
 COARSE_FRICTION = replace(FRICTION, set=(*FRICTION.set, "physics_step=0.005"))
 
-ARENAS: tuple[Arena, ...] = (
-    Arena(name="linear", options=ScenarioOptions(), rivals=("none",)),
-    Arena(name="as-printed", options=ScenarioOptions("as-printed"), rivals=("none",)),
+EVALUATION_TASKS: tuple[EvaluationTask, ...] = (
+    EvaluationTask(name="linear", options=ScenarioOptions(), baselines=("none",)),
+    EvaluationTask(name="as-printed", options=ScenarioOptions("as-printed"), baselines=("none",)),
     # The reference there is LQR, which does not know of the friction.
-    Arena(name="friction", options=FRICTION, rivals=("lqr-friction-ff", "none")),
-    Arena(name="friction-coarse", options=COARSE_FRICTION, rivals=("lqr-friction-ff", "none")),
-    Arena(name="laboratory", options=ScenarioOptions("laboratory"), rivals=LABORATORY_RIVALS),
-    Arena(
+    EvaluationTask(name="friction", options=FRICTION, baselines=("lqr-friction-ff", "none")),
+    EvaluationTask(
+        name="friction-coarse", options=COARSE_FRICTION, baselines=("lqr-friction-ff", "none")
+    ),
+    EvaluationTask(
+        name="laboratory", options=ScenarioOptions("laboratory"), baselines=LABORATORY_BASELINES
+    ),
+    EvaluationTask(
         name="records",
         options=ScenarioOptions("records"),
-        rivals=LABORATORY_RIVALS,
+        baselines=LABORATORY_BASELINES,
         trained_on="laboratory",
     ),
-    Arena(
+    EvaluationTask(
         name="unknown-specimen",
         options=ScenarioOptions("unknown-specimen"),
-        rivals=("lqg", "lqg-dac", "adaptive", "multi-model", "h-infinity", "lqg-searched", "none"),
+        baselines=("lqg", "lqg-dac", "adaptive", "multi-model", "h-infinity", "lqg-searched", "none"),
         earthquakes=2000,
         fidelity=False,
     ),
-    Arena(
+    EvaluationTask(
         name="yielding",
         options=ScenarioOptions("yielding"),
-        rivals=("preview-lqr", "h-infinity", "lqg-searched", "lqg-searched-force", "none"),
+        baselines=("preview-lqr", "h-infinity", "lqg-searched", "lqg-searched-force", "none"),
     ),
 )
 
 
-def _recipe(
-    arena: str,
+def _experiment(
+    evaluation_task: str,
     config: TrainConfig,
     minutes: float,
     why: str = "",
     label: str | None = None,
     otherwise: tuple[str, ...] = (),
-) -> Recipe:
-    """Return a recipe; `otherwise` are fields in which training differs from what it is tested on."""
-    options = next(each.options for each in ARENAS if each.name == arena)
+) -> ExperimentConfig:
+    """Return an experiment; `otherwise` are fields in which training differs from the test."""
+    options = next(each.options for each in EVALUATION_TASKS if each.name == evaluation_task)
     config = replace(config, scenario=replace(options, set=(*options.set, *otherwise)))
     default = "the algorithm's defaults"
-    return Recipe(arena=arena, config=config, minutes=minutes, why=why or default, label=label)
+    return ExperimentConfig(
+        evaluation_task=evaluation_task, config=config, minutes=minutes, why=why or default, label=label
+    )
 
 
 # The whole of a laboratory's envelope: rise, strong part and decay. Many earthquakes choose the policy
@@ -161,38 +168,40 @@ def _correction(memory: int = 0, authority: float = 0.2) -> APGOptions:
 _SMALL = 0.02
 
 
-def _corrected(arena: str, minutes: float, usual: dict[str, Any], otherwise: tuple[str, ...]) -> Recipe:
-    """Return the recipe of PPO for the same correction, within about what gradients need for it."""
+def _corrected(
+    evaluation_task: str, minutes: float, usual: dict[str, Any], otherwise: tuple[str, ...]
+) -> ExperimentConfig:
+    """Return the experiment of PPO for the same correction, within about what gradients need for it."""
     options = PPOOptions(base_controller="lqg-searched", residual_scale=_SMALL, actor_bias=True)
     config = TrainConfig(ppo=options, odd_symmetry=True, **usual)
-    return _recipe(arena, config, minutes, _EXPLORES_LITTLE, otherwise=otherwise)
+    return _experiment(evaluation_task, config, minutes, _EXPLORES_LITTLE, otherwise=otherwise)
 
 
-def _gradients_from_nothing(arena: str, learning_rate: float) -> Recipe:
-    """Return the recipe of the analytic gradient for a linear table that is seen in full."""
+def _gradients_from_nothing(evaluation_task: str, learning_rate: float) -> ExperimentConfig:
+    """Return the experiment of the analytic gradient for a linear table that is seen in full."""
     options = APGOptions(n_envs=64, rollout_horizon=192, learning_rate=learning_rate)
     config = TrainConfig(algorithm="apg", apg=options, episode_duration=20.0, total_timesteps=15_728_640)
     why = f"windows of a second, whose end costs half a percent less; {_WHOLE_NOISE}"
-    return _recipe(arena, config, 3.0, why)
+    return _experiment(evaluation_task, config, 3.0, why)
 
 
 def _ppo_from_nothing(
-    arena: str, minutes: float, horizon: float = 0.3, *, biases: bool = False
-) -> Recipe:
-    """Return the recipe of PPO for a table that is seen in full, which looks `horizon` [s] ahead."""
+    evaluation_task: str, minutes: float, horizon: float = 0.3, *, biases: bool = False
+) -> ExperimentConfig:
+    """Return the experiment of PPO for a table that is seen in full, which looks `horizon` [s] ahead."""
     options = PPOOptions(n_envs=256, batch_size=8192, n_epochs=6, actor_bias=biases)
     config = TrainConfig(
         ppo=options, discount_horizon=horizon, total_timesteps=24_000_000, odd_symmetry=True
     )
     reasons = [_BIASES] if biases else []
-    return _recipe(arena, config, minutes, "; ".join([*reasons, _LESS_NOISE, _NO_SIDES]))
+    return _experiment(evaluation_task, config, minutes, "; ".join([*reasons, _LESS_NOISE, _NO_SIDES]))
 
 
-RECIPES: tuple[Recipe, ...] = (
+EXPERIMENTS: tuple[ExperimentConfig, ...] = (
     _gradients_from_nothing("linear", 8e-4),
     _ppo_from_nothing("linear", 7.0),
-    _recipe("linear", TrainConfig(algorithm="sac", total_timesteps=700_000), 12.0, _LONG),
-    _recipe(
+    _experiment("linear", TrainConfig(algorithm="sac", total_timesteps=700_000), 12.0, _LONG),
+    _experiment(
         "linear",
         TrainConfig(
             algorithm="td3",
@@ -211,18 +220,18 @@ RECIPES: tuple[Recipe, ...] = (
         7.0,
         f"little authority, much of it as exploration, a large step, as a search found; {_NO_SIDES}",
     ),
-    _recipe(
+    _experiment(
         "linear",
         TrainConfig(algorithm="tqc", total_timesteps=500_000, odd_symmetry=True),
         12.0,
         f"{_LONG}; {_NO_SIDES}",
     ),
-    _recipe("linear", TrainConfig(algorithm="recurrent-ppo"), 6.0),
+    _experiment("linear", TrainConfig(algorithm="recurrent-ppo"), 6.0),
     # With the printed equations a horizon of 0.3 s costs 3.4 % (`lookahead`), of half a second 1.4.
     _gradients_from_nothing("as-printed", 4e-4),
     _ppo_from_nothing("as-printed", 7.0, 0.5),
-    _recipe("friction", TrainConfig(algorithm="apg", apg=_BIASED), 6.0, _BIASES),
-    _recipe(
+    _experiment("friction", TrainConfig(algorithm="apg", apg=_BIASED), 6.0, _BIASES),
+    _experiment(
         "friction",
         TrainConfig(algorithm="apg", apg=_BIASED),
         6.0,
@@ -231,14 +240,14 @@ RECIPES: tuple[Recipe, ...] = (
         otherwise=("objective.force_weight=2.5",),
     ),
     _ppo_from_nothing("friction", 7.0, biases=True),
-    _recipe(
+    _experiment(
         "friction-coarse",
         TrainConfig(algorithm="apg", apg=replace(_BIASED, learning_rate=3e-4)),
         2.0,
         f"{_BIASES}; a third of the step, for gradients through coarse steps are steep",
     ),
     _ppo_from_nothing("friction-coarse", 5.0, biases=True),
-    _recipe(
+    _experiment(
         "laboratory",
         TrainConfig(
             algorithm="apg", apg=_correction(authority=0.3), total_timesteps=6_144_000, **_WHOLE
@@ -247,7 +256,7 @@ RECIPES: tuple[Recipe, ...] = (
         "corrects the best law that a search found",
         otherwise=_EARLY,
     ),
-    _recipe(
+    _experiment(
         "laboratory",
         TrainConfig(algorithm="apg", apg=_correction(), total_timesteps=6_144_000, **_STROKE),
         5.0,
@@ -257,7 +266,7 @@ RECIPES: tuple[Recipe, ...] = (
         otherwise=("objective.force_weight=30", *_SOFT),
     ),
     _corrected("laboratory", 3.0, _WHOLE, _EARLY),
-    _recipe(
+    _experiment(
         "unknown-specimen",
         TrainConfig(
             algorithm="apg",
@@ -270,7 +279,7 @@ RECIPES: tuple[Recipe, ...] = (
         otherwise=_SOFT,
     ),
     _corrected("unknown-specimen", 4.0, _STROKE, _SOFT),
-    _recipe(
+    _experiment(
         "unknown-specimen",
         TrainConfig(
             algorithm="recurrent-ppo",
@@ -282,7 +291,7 @@ RECIPES: tuple[Recipe, ...] = (
         "an LSTM, on the scenario where a memory is worth most",
         otherwise=_SOFT,
     ),
-    _recipe(
+    _experiment(
         "yielding",
         TrainConfig(
             algorithm="apg", apg=_correction(authority=0.3), total_timesteps=4_915_200, **_WHOLE
@@ -295,7 +304,7 @@ RECIPES: tuple[Recipe, ...] = (
     # The realistic scenario that shows the whole state. From nothing, a critic cannot tell good currents
     # from bad before the tables are lost.
     *(
-        _recipe(
+        _experiment(
             "yielding",
             TrainConfig(
                 algorithm=algorithm,
