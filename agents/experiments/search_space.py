@@ -1,8 +1,8 @@
 """What a search may change about an experiment: typed ranges and choices that always make a valid run.
 
 A range always holds the experiment's own value. A batch is given as the number of parts of a roll-out,
-so that it divides the roll-out whatever else is drawn. What an experiment claims is not searched: one that
-begins from nothing still does, and none is given a law that is the optimum already.
+so that it divides the roll-out whatever else is drawn. What an experiment claims is not searched: one
+that begins from nothing still does, and none is given a law that is the optimum already.
 """
 
 from __future__ import annotations
