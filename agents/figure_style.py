@@ -5,15 +5,19 @@ Colours are Okabe and Ito's. Lines also differ by dash and by lightness, so that
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from shake_env.simulation.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.typing import RcKeyType
@@ -55,6 +59,8 @@ PLOTLY: tuple[dict[str, str], ...] = tuple(
     )
 )
 
+WINDOW = 5.0  # [s] that figures over time show
+
 STYLE: dict[RcKeyType, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 9.5,
@@ -91,6 +97,49 @@ def new_figure(width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def strongest(time: NDArray[np.float64], shear: NDArray[np.floating]) -> tuple[float, float]:
+    """Return the ends [s] of `WINDOW` about the peak of a base shear (samples,)."""
+    centre = time[int(np.argmax(np.abs(shear)))]
+    start = min(max(centre - 0.4 * WINDOW, 0.0), max(time[-1] - WINDOW, 0.0))
+    return float(start), float(min(start + WINDOW, time[-1]))
+
+
+def tracking_figure(traces: Mapping[str, Trajectory], title: str) -> Figure:
+    """Return the strongest seconds of tests on one earthquake: both quantities with their targets.
+
+    Parameters
+    ----------
+    traces
+        By label of the controller, at least one.
+    title
+        Of the figure.
+    """
+    first = next(iter(traces.values()))
+    start, end = strongest(first.time, first.reference_base_shear)
+    with figure_style():
+        figure = new_figure(8.0, 5.2)
+        panels = figure.subplots(2, 1, sharex=True)
+        for panel, target, achieved, unit in (
+            (panels[0], "target_acceleration", "table_acceleration", 1.0),
+            (panels[1], "reference_base_shear", "base_shear", 1e-3),
+        ):
+            curves = [("target (real ground)", first, target, TARGET)]
+            for k, (label, trace) in enumerate(traces.items()):
+                style = {**CONTROLLERS[k % len(CONTROLLERS)], "marker": "", "linewidth": 1.3}
+                curves.append((label, trace, achieved, style))
+            for label, trace, name, style in curves:
+                inside = (trace.time >= start) & (trace.time <= end)
+                values = unit * getattr(trace, name)[inside]
+                panel.plot(trace.time[inside], values, label=label, **style)
+        panels[0].set_ylabel("table acceleration [m/s²]")
+        panels[1].set_ylabel("base shear [kN]")
+        panels[1].set_xlabel("time [s]")
+        panels[1].set_xlim(start, end)
+        panels[0].set_title(title, loc="left")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+        return figure
 
 
 def save_figure(figure: Figure, folder: str | PathLike[str], name: str) -> list[Path]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import types
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 Value = TypeVar("Value")
 
@@ -89,3 +90,8 @@ def differences(one: object, other: object, name: str = "") -> dict[str, tuple[A
             getattr(one, field.name), getattr(other, field.name), prefix + field.name
         ).items()
     }
+
+
+def plain(values: dict[str, Any]) -> dict[str, Any]:
+    """Return values as JSON has them; what it lacks (a path) as text."""
+    return cast("dict[str, Any]", json.loads(json.dumps(values, default=str)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -184,3 +184,17 @@ def progress_bar(*columns: Any) -> Iterator[progress.Progress]:
         # What is printed meanwhile goes above the bars, unless it goes elsewhere.
         with _Bars(*shown, console=display.console, redirect_stdout=Console().is_terminal) as bars:
             yield bars
+
+
+@contextmanager
+def progress_by_name(prefix: str = "") -> Iterator[Callable[[str, float], None]]:
+    """Show a bar for each name that is reported; yield what takes a name and the share done of it."""
+    with progress_bar() as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def report(name: str, share: float) -> None:
+            if name not in tasks:
+                tasks[name] = bars.add_task(prefix + name, total=1.0)
+            bars.update(tasks[name], completed=share)
+
+        yield report

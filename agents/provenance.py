@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import platform
 import subprocess
 from functools import lru_cache
 from pathlib import Path
@@ -34,3 +36,8 @@ def _git(*arguments: str) -> str:
         timeout=10,
     )
     return told.stdout.strip()
+
+
+def machine() -> str:
+    """Return the kind of this machine's processor and the number of its cores."""
+    return f"{platform.machine()}, {os.cpu_count()} cores"

@@ -186,6 +186,24 @@ def test_what_a_deployed_controller_needs_imports_neither_learning_nor_drawing(e
                 queue.append(each)
 
 
+def users_of_studies(texts):
+    """Modules outside of `agents.studies` that import it, given texts by module."""
+    return {
+        name
+        for name, text in texts.items()
+        if not name.startswith("agents.studies")
+        and any(each.startswith("agents.studies") for each in imports(text, NAMES))
+    }
+
+
+def test_studies_stand_apart_from_all_but_their_commands():
+    texts = {name: path.read_text(encoding="utf-8") for name, path in sources()}
+    commands = {f"agents.cli.{name}" for name in ("components", "reproduce", "validate")}
+    assert users_of_studies(texts) == commands
+    wrong = {"agents.motions.figure": "def f():\n    from agents.studies.validation import run"}
+    assert users_of_studies(wrong) == set(wrong)
+
+
 def test_a_folder_has_at_most_twenty_files():
     for package in ("shake_env", "baselines", "agents", "tests"):
         for folder in [ROOT / package, *(p for p in (ROOT / package).rglob("*") if p.is_dir())]:

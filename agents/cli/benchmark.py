@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.console import Console
 
-from agents.cli.command_options import CommandOptions, tuned_values
+from agents.cli.command_options import CommandOptions, print_notes, tuned_values
 from agents.cli.output_path import require_writable
 from agents.progress import progress_bar
 from agents.reporting.terminal import print_markdown
@@ -48,7 +48,7 @@ class Benchmark(CommandOptions):
     def run(self, console: Console) -> dict[str, Any]:
         """Run what is not done, and say where it lies."""
         from agents.evaluation.benchmark import read_results, result_file
-        from agents.evaluation.controller_set import describe_values, require_names
+        from agents.evaluation.controller_set import require_names
         from agents.reporting.benchmark_tables import markdown, put_tables
 
         require_names(self.controllers)
@@ -73,9 +73,7 @@ class Benchmark(CommandOptions):
                 console.print(f"wrote {file}")
             results[name] = result
             print_markdown(console, markdown(result))
-            for note in (describe_values(result.get("values", {})), *result.get("warnings", ())):
-                if note:
-                    console.print(note, highlight=False, soft_wrap=True)
+            print_notes(result, console)
         if self.page is not None:
             put_tables(self.page, read_results(self.results))
             console.print(f"wrote {self.page}")

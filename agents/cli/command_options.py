@@ -79,3 +79,12 @@ class FolderOptions(CommandOptions):
         if self.output is None and self.json:
             return None
         return output_folder(self.output, Path("out") / name, force=self.force)
+
+
+def print_notes(result: dict[str, Any], console: Console) -> None:
+    """Print where the parameter values of a result come from, and its warnings."""
+    from agents.evaluation.controller_set import describe_values
+
+    for note in (describe_values(result.get("values", {})), *result.get("warnings", ())):
+        if note:
+            console.print(note, highlight=False, soft_wrap=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 from dataclasses import asdict, dataclass, field
@@ -15,7 +14,8 @@ from rich.console import Console
 from agents.cli.command_options import FolderOptions, tuned_values
 from agents.cli.output_path import output_folder
 from agents.motions.channels import MotionOptions, motion_earthquakes
-from agents.progress import progress_bar
+from agents.plain_values import plain
+from agents.progress import progress_by_name
 from agents.scenario_options import ScenarioOptions
 from agents.seeds import COMPARISON_SEED
 from shake_env.errors import ParameterError
@@ -90,14 +90,7 @@ class Compare(FolderOptions):
         for quake in recorded_earthquakes(scenario) if self.records else ():
             if quake.motion.amplitude != 1.0:  # scaled to the table, or by the scenario
                 console.print(f"record {quake.name}: amplitude x {quake.motion.amplitude:.4g}")
-        with progress_bar() as progress:
-            tasks: dict[str, Any] = {}
-
-            def on_progress(name: str, share: float) -> None:
-                if name not in tasks:
-                    tasks[name] = progress.add_task(name, total=1.0)
-                progress.update(tasks[name], completed=share)
-
+        with progress_by_name() as on_progress:
             result = compare(
                 scenario,
                 self.controllers,
@@ -110,7 +103,7 @@ class Compare(FolderOptions):
                 on_progress=on_progress,
                 **({} if gathered is None else {"on_histories": gathered}),
             )
-        settings = _plain(asdict(self))
+        settings = plain(asdict(self))
         print_tables(result, console)
         if folder is not None:
             for path in write_files(result, settings, folder):
@@ -120,8 +113,3 @@ class Compare(FolderOptions):
             written = write_report(make_report(result, gathered, command, unlike), self.report)
             console.print(f"wrote {written[0]} and {len(written) - 1} figures: open it in a browser")
         return result.to_json(settings)
-
-
-def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    plain: dict[str, Any] = json.loads(json.dumps(values, default=str))
-    return plain

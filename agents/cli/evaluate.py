@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,9 +9,10 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
-from agents.cli.command_options import CommandOptions, tuned_values
+from agents.cli.command_options import CommandOptions, print_notes, tuned_values
 from agents.cli.output_path import output_file
-from agents.progress import progress_bar
+from agents.plain_values import plain
+from agents.progress import progress_by_name
 from agents.reporting.terminal import print_markdown
 from agents.scenario_options import ScenarioOptions, given_options
 
@@ -46,8 +46,8 @@ class Evaluate(CommandOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Evaluate, print, write."""
-        from agents.evaluation.controller_set import describe_values, require_names
-        from agents.evaluation.protocol import evaluate, find_entry
+        from agents.evaluation.controller_set import require_names
+        from agents.evaluation.protocol import contestant, evaluate
         from agents.evaluation.result_files import write_result
         from agents.reporting.evaluation_tables import markdown
 
@@ -57,14 +57,7 @@ class Evaluate(CommandOptions):
         file = None
         if self.output is not None or not self.json:
             file = output_file(self.output, Path("out/evaluate") / f"{scenario.name}.json")
-        with progress_bar() as progress:
-            tasks: dict[str, Any] = {}
-
-            def on_progress(name: str, share: float) -> None:
-                if name not in tasks:
-                    tasks[name] = progress.add_task(name, total=1.0)
-                progress.update(tasks[name], completed=share)
-
+        with progress_by_name() as on_progress:
             result = evaluate(
                 scenario,
                 [find_entry(text, scenario) for text in self.entries],
@@ -73,12 +66,9 @@ class Evaluate(CommandOptions):
                 tuned=tuned,
                 on_progress=on_progress,
             )
-        given: dict[str, Any] = json.loads(json.dumps(self.scenario.__dict__))
-        result["scenario_options"] = given_options(given)
+        result["scenario_options"] = given_options(plain(self.scenario.__dict__))
         print_markdown(console, markdown(result))
-        for note in (describe_values(result["values"]), *result["warnings"]):
-            if note:
-                console.print(note, highlight=False, soft_wrap=True)
+        print_notes(result, console)
         if file is not None:
             write_result(result, file)
             console.print(f"wrote {file}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,8 +10,9 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
-from agents.cli.command_options import FolderOptions, tuned_values
-from agents.progress import progress_bar
+from agents.cli.command_options import FolderOptions, print_notes, tuned_values
+from agents.plain_values import plain
+from agents.progress import progress_by_name
 from agents.reporting.terminal import print_markdown
 from agents.scenario_options import ScenarioOptions, given_options
 from agents.seeds import ROBUSTNESS_SEED
@@ -65,7 +65,7 @@ class Robustness(FolderOptions):
         """Run, print, write."""
         if self.all:
             return self._renew(console)
-        from agents.evaluation.controller_set import describe_values, require_names
+        from agents.evaluation.controller_set import require_names
         from agents.reporting.robustness_figures import draw_robustness
         from agents.reporting.robustness_tables import PREFIX, section, write_robustness
 
@@ -75,9 +75,7 @@ class Robustness(FolderOptions):
         folder = self.results_folder("robustness")
         result = _measure(self, self.scenario)
         print_markdown(console, section(result))
-        for note in (describe_values(result["values"]), *result["warnings"]):
-            if note:
-                console.print(note, highlight=False, soft_wrap=True)
+        print_notes(result, console)
         for reason in result["skipped"]:
             console.print(f"left out: {reason}")
         if folder is not None:
@@ -123,14 +121,7 @@ def _measure(command: Robustness, options: ScenarioOptions) -> dict[str, Any]:
     from agents.evaluation.robustness import Grid, robustness
 
     scenario = options.build()
-    with progress_bar() as progress:
-        tasks: dict[str, Any] = {}
-
-        def on_progress(name: str, share: float) -> None:
-            if name not in tasks:
-                tasks[name] = progress.add_task(f"{scenario.name}, {name}", total=1.0)
-            progress.update(tasks[name], completed=share)
-
+    with progress_by_name(f"{scenario.name}, ") as on_progress:
         result = robustness(
             scenario,
             command.controllers or (),
@@ -165,21 +156,16 @@ def _identity(command: Robustness, options: ScenarioOptions) -> dict[str, Any]:
 
     scenario = options.build()
     tuned = tuned_values(command.tuned)
-    chosen, sources = controllers_with_sources(command.controllers or (), scenario, tuned)
-    grid = Grid.of(scenario, command.perturb, command.maps)
-    given = given_options(options.__dict__)
-    identity: dict[str, Any] = json.loads(
-        json.dumps(
-            {
-                "scenario": given,
-                "controllers": list(chosen.controllers),
-                "policies": {name: source["sha256"] for name, source in sources.items()},
-                "earthquakes": command.earthquakes,
-                "seed": command.seed,
-                "sweeps": grid.sweeps,
-                "maps": [[grid.coarse[name] for name in pair] for pair in grid.maps],
-            },
-            default=str,
-        )
+    chosen, sources = controllers_of(command.controllers or (), scenario, tuned)
+    grid = Grid.of(scenario, command.quantities, command.maps)
+    return plain(
+        {
+            "scenario": given_options(options.__dict__),
+            "controllers": list(chosen.controllers),
+            "policies": {name: source["sha256"] for name, source in sources.items()},
+            "earthquakes": command.earthquakes,
+            "seed": command.seed,
+            "sweeps": grid.sweeps,
+            "maps": [[grid.coarse[name] for name in pair] for pair in grid.maps],
+        }
     )
-    return identity

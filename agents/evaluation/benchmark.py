@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import platform
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, fields
 from os import PathLike
@@ -14,7 +12,7 @@ import shake_env
 from agents.evaluation.comparison import compare
 from agents.evaluation.controller_set import ALL, values_to_json
 from agents.evaluation.results import Comparison, GroupSummary, plain_row
-from agents.policies.registry import ORACLE
+from agents.provenance import machine
 from agents.run_directory import described, read_json
 from agents.seeds import TEST_SEED
 from baselines.registry import reference_name
@@ -65,7 +63,7 @@ def run_benchmark(
     return {
         "scenario": scenario_name,
         "version": shake_env.__version__,
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+        "machine": machine(),
         "seed": None if recorded else TEST_SEED,
         "reference": reference_name(scenario),
         "controllers": list(names),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from os import PathLike
@@ -30,7 +28,7 @@ from agents.policies.registry import (
     policy_path,
     values_for,
 )
-from agents.provenance import code_version
+from agents.provenance import code_version, machine
 from agents.run_directory import BEST, POLICY, policy_of_run
 from agents.seeds import TEST_SEED
 from baselines.lqr.preview import preview_lqr
@@ -242,7 +240,6 @@ def evaluate(
         for text in dict.fromkeys(training_warning(policy, scenario) for policy in each.policies)
         if text
     ]
-    machine = f"{platform.machine()}, {os.cpu_count()} cores"
     episodes, latency = {}, {}
     for name, each in rows.items():
 
@@ -266,7 +263,7 @@ def evaluate(
             "decision_time": latency[name],
             "sources": list(rows[name].sources),
             "code": code,
-            "machine": machine,
+            "machine": machine(),
         }
         for name, found in episodes.items()
     ]
@@ -283,7 +280,7 @@ def evaluate(
         "scenario": scenario.name,
         "version": shake_env.__version__,
         "code": code,
-        "machine": machine,
+        "machine": machine(),
         "seed": None if recorded else TEST_SEED,
         "earthquakes": [quake.name for quake in quakes],
         "reference": reference,

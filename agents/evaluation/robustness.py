@@ -7,8 +7,6 @@ is told stays in the units of the nominal model: it notices the change by what t
 
 from __future__ import annotations
 
-import os
-import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -25,8 +23,8 @@ from agents.evaluation.perturbations import (
     training_range,
 )
 from agents.policies.policy_file import PolicyFile, digest
-from agents.policies.registry import ORACLE, SHIPPED, policy_path, shipped_policy
-from agents.provenance import code_version
+from agents.policies.registry import SHIPPED, file_of, shipped_policy
+from agents.provenance import code_version, machine
 from agents.seeds import ROBUSTNESS_SEED
 from baselines.tuned_values import TunedValues
 from shake_env.controller import Controller
@@ -213,7 +211,7 @@ def robustness(
         "scenario": scenario.name,
         "version": shake_env.__version__,
         "code": code,
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+        "machine": machine(),
         "seed": None if scenario.reserved_for_testing else seed,
         "earthquakes": [quake.name for quake in quakes],
         "reference": reference,

@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -34,7 +32,7 @@ from agents.experiments.search_space import TRAIN_SEED, own_values, space, space
 from agents.experiments.search_trace import Trace, TrialRow
 from agents.policies.policy_file import load_policy
 from agents.progress import Progress
-from agents.provenance import code_version
+from agents.provenance import code_version, machine
 from agents.run_directory import POLICY, file_errors, locked
 from agents.seeds import VALIDATION_SEED
 from agents.training.checkpoint import delete_checkpoints
@@ -340,7 +338,7 @@ def trace_of(search: Search, study: Any) -> Trace:
         reference=study.user_attrs.get("reference", ""),
         reference_lost=study.user_attrs.get("reference_lost", 0),
         version=shake_env.__version__,
-        machine=f"{platform.machine()}, {os.cpu_count()} cores",
+        machine=machine(),
         space=knobs,
         own={knob.name: own[knob.name] for knob in knobs},
         trials=tuple(rows),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.experiments.search_space import Choice, Knob, Value, space_json, space_of
-from agents.reporting.markdown_blocks import put
+from agents.reporting.markdown_blocks import markdown_table, put
 from agents.run_directory import read_json, write_text
 from shake_env.errors import ParameterError
 
@@ -166,23 +166,20 @@ def markdown(trace: Trace, figures: str) -> str:
         return "\n".join([*lines, "No trial came to be judged.", ""])
     best, start = judged[0], trace.start
     good = judged[: max(1, len(judged) // BEST)]
-    lines += [
-        f"| value | searched | experiment | best trial ({best.number}) | best quarter ({len(good)}) |",
-        "|---|---|---|---|---|",
-        f"| cost [95 %] | | {_judged(start)} | {_judged(best)} | to {_number(_cost(good[-1]))} |",
-        f"| tables lost | | {'-' if start is None else start.lost} | {best.lost} "
-        f"| {_span([t.lost or 0 for t in good])} |",
+    head = ("value", "searched", "recipe", f"best trial ({best.number})", f"best quarter ({len(good)})")
+    lost = ["-" if start is None else str(start.lost), str(best.lost)]
+    rows: list[tuple[str, ...]] = [
+        ("cost [95 %]", "", _judged(start), _judged(best), f"to {_number(_cost(good[-1]))}"),
+        ("tables lost", "", *lost, _span([t.lost or 0 for t in good])),
     ]
     for knob in trace.space:
         drawn = [t.values[knob.name] for t in good]
         span = _chosen(knob, drawn) if isinstance(knob, Choice) else _span(drawn)
-        lines.append(
-            f"| {knob.meaning} | {_searched(knob)} | {_number(trace.own[knob.name])} "
-            f"| {_number(best.values[knob.name])} | {span} |"
-        )
-    figure = f"{figures}/{file_name(trace.experiment)}.png"
-    caption = f"Cost of each trial of {trace.experiment} over each value that was searched"
-    return "\n".join([*lines, "", f"![{caption}]({figure})", ""])
+        values = (trace.own[knob.name], best.values[knob.name])
+        rows.append((knob.meaning, _searched(knob), *map(_number, values), span))
+    figure = f"{figures}/{file_name(trace.recipe)}.png"
+    caption = f"Cost of each trial of {trace.recipe} over each value that was searched"
+    return "\n".join([*lines, markdown_table(head, rows), f"![{caption}]({figure})", ""])
 
 
 def _judged(row: TrialRow | None) -> str:

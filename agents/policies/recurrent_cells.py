@@ -16,8 +16,8 @@ _REMEDY = "give a policy file written by 'shake train' (policy.safetensors)"
 
 
 @dataclass(frozen=True)
-class GatedUnit:
-    """A gated recurrent unit (Cho et al., 2014) in numpy, gates in torch's order: reset, update, new.
+class _Unit:
+    """Weights of a recurrent unit; its gates lie one below the other.
 
     Raises
     ------
@@ -25,20 +25,36 @@ class GatedUnit:
         If the shapes of its parts do not fit, or a number in it is not finite.
     """
 
-    input_weight: Weights  # (3 units, features)
-    hidden_weight: Weights  # (3 units, units)
-    input_bias: Weights  # (3 units,)
-    hidden_bias: Weights  # (3 units,)
-    kind: ClassVar[str] = "gru"
-    arrays: ClassVar[int] = 1  # of its state
+    input_weight: Weights  # (gates units, features)
+    hidden_weight: Weights  # (gates units, units)
+    input_bias: Weights  # (gates units,)
+    hidden_bias: Weights  # (gates units,)
+    kind: ClassVar[str]
+    gates: ClassVar[int]
+    arrays: ClassVar[int]  # of its state
 
     def __post_init__(self) -> None:
-        _check(self, 3)
+        rows, units = self.hidden_weight.shape
+        fits = (
+            rows == self.gates * units > 0
+            and self.input_weight.shape[0] == rows
+            and self.input_bias.shape == self.hidden_bias.shape == (rows,)
+        )
+        if not fits:
+            raise PolicyFileError("memory shape", self.hidden_weight.shape, _REMEDY)
+        if not all(np.isfinite(getattr(self, part)).all() for part in PARTS):
+            raise PolicyFileError("memory weights", "nan or inf", _REMEDY)
 
     @property
     def units(self) -> int:
         """Width of the memory."""
         return int(self.hidden_weight.shape[1])
+
+
+class GatedUnit(_Unit):
+    """A gated recurrent unit (Cho et al., 2014) in numpy, gates in torch's order: reset, update, new."""
+
+    kind, gates, arrays = "gru", 3, 1
 
     def __call__(
         self, features: Weights, state: Sequence[Weights]
@@ -55,32 +71,13 @@ class GatedUnit:
         return kept, (kept,)
 
 
-@dataclass(frozen=True)
-class LongShortTermUnit:
+class LongShortTermUnit(_Unit):
     """A long short-term memory (Hochreiter and Schmidhuber, 1997; forget gate of Gers et al., 2000).
 
     Gates in torch's order: input, forget, cell, output. The state is output and cell.
-
-    Raises
-    ------
-    PolicyFileError
-        If the shapes of its parts do not fit, or a number in it is not finite.
     """
 
-    input_weight: Weights  # (4 units, features)
-    hidden_weight: Weights  # (4 units, units)
-    input_bias: Weights  # (4 units,)
-    hidden_bias: Weights  # (4 units,)
-    kind: ClassVar[str] = "lstm"
-    arrays: ClassVar[int] = 2
-
-    def __post_init__(self) -> None:
-        _check(self, 4)
-
-    @property
-    def units(self) -> int:
-        """Width of the memory."""
-        return int(self.hidden_weight.shape[1])
+    kind, gates, arrays = "lstm", 4, 2
 
     def __call__(
         self, features: Weights, state: Sequence[Weights]
@@ -114,16 +111,3 @@ def _logistic(values: Weights) -> Weights:
     half = np.float32(0.5)
     logistic: Weights = half + half * np.tanh(half * values)
     return logistic
-
-
-def _check(unit: MemoryUnit, gates: int) -> None:
-    rows, units = unit.hidden_weight.shape
-    fits = (
-        rows == gates * units > 0
-        and unit.input_weight.shape[0] == rows
-        and unit.input_bias.shape == unit.hidden_bias.shape == (rows,)
-    )
-    if not fits:
-        raise PolicyFileError("memory shape", unit.hidden_weight.shape, _REMEDY)
-    if not all(np.isfinite(getattr(unit, part)).all() for part in PARTS):
-        raise PolicyFileError("memory weights", "nan or inf", _REMEDY)

@@ -8,28 +8,31 @@ from pathlib import Path
 from typing import Any
 
 from agents.evaluation.results import cost_text
-from agents.reporting.markdown_blocks import put
+from agents.reporting.markdown_blocks import markdown_table, put
 
 
 def markdown(result: dict[str, Any]) -> str:
     """Return a result as a Markdown table."""
     head = (
-        f"| controller | cost / {result['reference']} [95 %] | accel. % rms, peak | shear % rms, peak "
-        "| lag ms | spectrum % | Arias | drift | energy | ended | us |"
-    )
-    lines = [head, "|---|---|---|---|---|---|---|---|---|---|---|"]
+        "controller", f"cost / {result['reference']} [95 %]", "accel. % rms, peak", "shear % rms, peak",
+        "lag ms", "spectrum %", "Arias", "drift", "energy", "ended", "us",
+    )  # fmt: skip
+    rows = []
     for row in result["rows"]:
         cost = cost_text(row["relative_cost"], row["relative_cost_low"], row["relative_cost_high"])
         lag = "-" if row["delay"] is None else f"{1e3 * row['delay']:.1f}"
-        lines.append(
-            f"| {row['controller']} | {cost} | {100 * row['acceleration_rms_error']:.1f}, "
-            f"{100 * row['acceleration_peak_error']:.0f} | {100 * row['base_shear_rms_error']:.1f}, "
-            f"{100 * row['base_shear_peak_error']:.0f} | {lag} | {100 * row['spectral_error']:.0f} | "
-            f"{row['arias_ratio']:.2f} | {row['drift_ratio']:.2f} | {row['energy_ratio']:.2f} | "
-            f"{row['broken_limits']} | {_microseconds(row['decision_time'])} |"
-        )
+        errors = [
+            f"{100 * row[f'{name}_rms_error']:.1f}, {100 * row[f'{name}_peak_error']:.0f}"
+            for name in ("acceleration", "base_shear")
+        ]
+        ratios = [f"{row[f'{name}_ratio']:.2f}" for name in ("arias", "drift", "energy")]
+        decision = "-" if row["decision_time"] is None else f"{1e6 * row['decision_time']:.0f}"
+        rows.append(
+            [row["controller"], cost, *errors, lag, f"{100 * row['spectral_error']:.0f}", *ratios,
+             str(row["broken_limits"]), decision]
+        )  # fmt: skip
     number = result["rows"][0]["earthquakes"]
-    lines.append("")
+    lines = [markdown_table(head, rows)]
     for row in result["rows"]:
         if row["damage"] is not None:
             lines.append(
@@ -40,10 +43,6 @@ def markdown(result: dict[str, Any]) -> str:
     seed = "recorded" if result["seed"] is None else f"seeds from {result['seed']}"
     lines.append(f"{number} earthquakes, {seed}, version {result['version']}, {result['machine']}.")
     return "\n".join(lines) + "\n"
-
-
-def _microseconds(seconds: float | None) -> str:
-    return "-" if seconds is None else f"{1e6 * seconds:.0f}"
 
 
 def put_tables(page: str | PathLike[str], results: Sequence[dict[str, Any]]) -> None:

@@ -14,12 +14,10 @@ from rich.console import Console
 
 from agents.evaluation.fidelity import Fidelity
 from agents.evaluation.results import Comparison, GroupSummary
-from agents.figure_style import BLACK, SERIES, figure_style, new_figure, save_figure
+from agents.figure_style import save_figure, tracking_figure
 from agents.reporting.csv_file import write_csv
 from agents.reporting.terminal import print_table
 from shake_env.simulation.metrics import EpisodeMetrics
-
-WINDOW = 5.0  # [s] shown of the traced earthquake, about its peak
 
 
 def print_tables(comparison: Comparison, console: Console) -> None:
@@ -118,42 +116,9 @@ def write_files(
     ]
     names = [field.name for kind in (EpisodeMetrics, Fidelity) for field in fields(kind)]
     write_csv(paths[2], ["controller", *names], episodes)
-    return paths + _draw(comparison, folder)
-
-
-def _draw(comparison: Comparison, folder: Path) -> list[Path]:
-    traces = {name: trace for name, trace in comparison.traces.items() if name != "none"}
-    first = next(iter(traces.values()))
-    centre = first.time[int(np.argmax(np.abs(first.reference_base_shear)))]
-    start = min(max(centre - 0.4 * WINDOW, 0.0), max(first.time[-1] - WINDOW, 0.0))
-    with figure_style():
-        figure = new_figure(8.0, 5.2)
-        upper, lower = figure.subplots(2, 1, sharex=True)
-        shown = (first.time >= start) & (first.time <= start + WINDOW)
-        upper.plot(
-            first.time[shown], first.target_acceleration[shown], color=BLACK, linewidth=2.6, alpha=0.35,
-            label="target (real ground)",
-        )  # fmt: skip
-        lower.plot(
-            first.time[shown], first.reference_base_shear[shown] / 1e3, color=BLACK, linewidth=2.6,
-            alpha=0.35,
-        )  # fmt: skip
-        for style, (name, trace) in zip(_styles(len(traces)), traces.items(), strict=True):
-            inside = (trace.time >= start) & (trace.time <= start + WINDOW)
-            upper.plot(trace.time[inside], trace.table_acceleration[inside], label=_label(name), **style)
-            lower.plot(trace.time[inside], trace.base_shear[inside] / 1e3, **style)
-        upper.set_ylabel("table acceleration [m/s²]")
-        lower.set_ylabel("base shear [kN]")
-        lower.set_xlabel("time [s]")
-        upper.set_xlim(start, start + WINDOW)
-        upper.set_title(f"What the table did, and what the specimen felt: {comparison.traced}")
-        figure.legend(*upper.get_legend_handles_labels(), loc="outside lower center", ncols=4)
-        return save_figure(figure, folder, "comparison")
-
-
-def _styles(number: int) -> list[dict[str, Any]]:
-    thin = [{**style, "linewidth": 1.3} for style in SERIES[1:]]
-    return [thin[i % len(thin)] for i in range(number)]
+    traces = {_label(name): trace for name, trace in comparison.traces.items() if name != "none"}
+    figure = tracking_figure(traces, f"Motion of the table and base shear: {comparison.traced}")
+    return paths + save_figure(figure, folder, "comparison")
 
 
 def _label(name: str) -> str:

@@ -6,7 +6,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from agents.reporting.markdown_blocks import has_place, put
+from agents.reporting.markdown_blocks import has_place, markdown_table, put
 
 COLUMNS = (
     "controller", "runs", "cost / {normaliser}", "IQM", "worst 5 %", "cost / {reference}",
@@ -24,9 +24,8 @@ def markdown(result: dict[str, Any]) -> str:
     head[8:8] = [titles.get(name, f"{name.removesuffix('_error')} off % (median)") for name in shown]
     if same:
         del head[5]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for row in ranked(result):
-        cells = [
+    rows = [
+        [
             row["controller"],
             str(row["runs"]) if row["sources"] else "-",
             cost_interval(row["relative_cost"]),
@@ -40,18 +39,17 @@ def markdown(result: dict[str, Any]) -> str:
             f"{row['failures']} of {row['episodes']}",
             "-" if row["decision_time"] is None else f"{1e6 * row['decision_time']:.0f}",
         ]
-        lines.append("| " + " | ".join(cells) + " |")
+        for row in ranked(result)
+    ]
     seed = "recorded" if result["seed"] is None else f"seeds from {result['seed']}"
     optimum = result["optimal_cost"]
     codes = dict.fromkeys(str(row["code"]) for row in result["rows"])
     machines = dict.fromkeys(str(row["machine"]) for row in result["rows"])
-    lines += [
-        "",
-        f"{len(result['earthquakes'])} earthquakes, {seed}; version {result['version']} "
-        f"({', '.join(codes)}), {'; '.join(machines)}."
-        + ("" if optimum is None else f" J* = {optimum:.6g}."),
-    ]
-    return "\n".join(lines) + "\n"
+    return (
+        f"{markdown_table(head, rows)}\n{len(result['earthquakes'])} earthquakes, {seed}; version "
+        f"{result['version']} ({', '.join(codes)}), {'; '.join(machines)}."
+        + ("\n" if optimum is None else f" J* = {optimum:.6g}.\n")
+    )
 
 
 def cost_interval(found: dict[str, float]) -> str:

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
 
 from agents.run_directory import write_text
 from shake_env.errors import ParameterError
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table as Markdown, a line a row, with a line break at its end."""
+    lines = ["|" + "".join(f" {c} |" if c else " |" for c in cells) for cells in (head, *rows)]
+    lines.insert(1, "|" + "---|" * len(head))
+    return "\n".join(lines) + "\n"
 
 
 def has_place(page: str | PathLike[str], place: str) -> bool:

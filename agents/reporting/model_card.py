@@ -13,6 +13,7 @@ from matplotlib.ticker import FormatStrFormatter, NullFormatter
 from agents.figure_style import BLUE, GREY, figure_style, new_figure
 from agents.policies.policy_file import PolicyFile, digest, load_policy
 from agents.reporting.evaluation_tables import interval
+from agents.reporting.markdown_blocks import markdown_table
 from agents.reporting.robustness_tables import findings, read_robustness
 from agents.scenario_options import given_options
 from shake_env.errors import ParameterError
@@ -135,24 +136,21 @@ def card_text(
     changed = ", ".join(f"{key} = {value}" for key, value in scenario.items())
     memory = "none" if policy.memory is None else f"{policy.memory.kind}, {policy.memory.units} units"
     widths = "x".join(str(len(bias)) for bias in policy.biases[:-1])
-    twice = ", one and its mirror image" if config.get("odd_symmetry") else ""
-    lines = [
-        f"# {file.stem}",
-        "",
-        "| | |",
-        "|---|---|",
-        f"| scenario | {name}{f' with {changed}' if changed else ''} |",
-        f"| algorithm | {config.get('algorithm', 'unknown')} |",
-        f"| made by | `{card.get('command', 'unknown')}` |",
-        *_first(card),
-        f"| seed | {config.get('seed', 'unknown')} |",
-        f"| code | version {card.get('version', 'unknown')} ({card.get('code') or 'unknown'}) |",
-        f"| observation | {policy.observation_size} numbers at {card.get('control_rate', 0.0):g} Hz |",
-        f"| network | {widths} {policy.activation}{twice}, memory: {memory} |",
-        f"| base law | {config_base(config)}, corrected by {policy.authority:g} of the limit |",
-        f"| SHA-256 | `{sha}` |",
-        "",
+    twice = ", one and its mirror image" if config.get("mirrored") else ""
+    first = card.get("first")  # the policy that training began with
+    facts = [
+        ("scenario", f"{name}{f' with {changed}' if changed else ''}"),
+        ("algorithm", config.get("algorithm", "unknown")),
+        ("made by", f"`{card.get('command', 'unknown')}`"),
+        *([("began with", f"`{first['sha256']}`, made by `{first['command']}`")] if first else []),
+        ("seed", str(config.get("seed", "unknown"))),
+        ("code", f"version {card.get('version', 'unknown')} ({card.get('code') or 'unknown'})"),
+        ("observation", f"{policy.observation_size} numbers at {card.get('control_rate', 0.0):g} Hz"),
+        ("network", f"{widths} {policy.activation}{twice}, memory: {memory}"),
+        ("base law", f"{config_base(config)}, corrected by {policy.authority:g} of the limit"),
+        ("SHA-256", f"`{sha}`"),
     ]
+    lines = [f"# {file.stem}", "", markdown_table(("", ""), facts)]
     trained = card.get("evaluation", {})
     if trained:
         lines += [
@@ -182,12 +180,6 @@ def card_text(
     return "\n".join(lines)
 
 
-def _first(card: dict[str, Any]) -> list[str]:
-    """Return a row on the policy that training began with, if it did."""
-    first = card.get("first")
-    return [f"| began with | `{first['sha256']}`, made by `{first['command']}` |"] if first else []
-
-
 def config_base(config: dict[str, Any]) -> str:
     """Return the base law that a configuration's policy corrects."""
     options = config.get(str(config.get("algorithm", "")).replace("-", "_"), {})
@@ -209,14 +201,15 @@ def _evaluation(result: dict[str, Any], row: dict[str, Any], sha: str) -> list[s
             f"{result['normaliser']} is {row['run_costs'][place]:.4f}.",
             "",
         ]
-    lines += ["| figure | value |", "|---|---|"]
-    for key, title, digits, scale in ROWS:
-        repeated = key == "reference_cost" and result["reference"] == result["normaliser"]
-        if row[key] is not None and not repeated:
-            lines.append(f"| {title.format(**result)} | {interval(row[key], digits, scale)} |")
-    lines.append(f"| episodes that a limit ended | {row['failures']} of {row['episodes']} |")
-    lines.append(f"| one decision | {1e6 * row['decision_time']:.0f} us |")
-    return [*lines, ""]
+    same = result["reference"] == result["yardstick"]
+    figures = [
+        (title.format(**result), interval(row[key], digits, scale))
+        for key, title, digits, scale in ROWS
+        if row[key] is not None and not (same and key == "reference_cost")
+    ]
+    figures.append(("episodes that a limit ended", f"{row['failures']} of {row['episodes']}"))
+    figures.append(("one decision", f"{1e6 * row['decision_time']:.0f} us"))
+    return [*lines, markdown_table(("figure", "value"), figures)]
 
 
 def _limits(

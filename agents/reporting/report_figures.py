@@ -13,12 +13,20 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from agents.evaluation.fidelity import PERIODS, TOLERANCE
-from agents.figure_style import CONTROLLERS, GREY, TARGET, figure_style, new_figure, save_figure
+from agents.figure_style import (
+    CONTROLLERS,
+    GREY,
+    TARGET,
+    WINDOW,
+    figure_style,
+    new_figure,
+    save_figure,
+    strongest,
+)
 from agents.reporting.report import Report
 from agents.reporting.report_data import UNITS, spectral_ratio
 from agents.reporting.report_traces import Curves
 
-WINDOW = 5.0  # [s] shown of the traced earthquake, about its peak
 LEAST = 1e-12
 
 
@@ -67,11 +75,7 @@ def _time(curves: Curves) -> Any:
 
 
 def _strongest(target: Curves) -> tuple[float, float]:
-    """Return the ends [s] of `WINDOW` about the peak of the base shear."""
-    time = _time(target)
-    centre = time[int(np.argmax(np.abs(target.values["shear"])))]
-    start = min(max(centre - 0.4 * WINDOW, 0.0), max(time[-1] - WINDOW, 0.0))
-    return float(start), float(min(start + WINDOW, time[-1]))
+    return strongest(_time(target), target.values["shear"])
 
 
 def _traces(report: Report) -> Figure:

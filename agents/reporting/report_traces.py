@@ -22,7 +22,7 @@ from shake_env.simulation.trajectory import Trajectory
 FloatArray = NDArray[np.float64]
 
 LEVELS = 400  # of a curve's peak: a quarter of a percent, less than a line is wide
-BUDGET = 3_200_000  # [characters] of all curves on a page
+BUDGET = 2_900_000  # [characters] of all curves on a page, which is then below 5 MB
 HIGHEST_RATE = 200.0  # [Hz]
 NOISE = "filtered noise"  # group of earthquakes that is thinned first
 LOWEST_RATE = 10.0  # [Hz] nothing below is worth showing

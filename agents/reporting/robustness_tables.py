@@ -8,6 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from agents.reporting.markdown_blocks import markdown_table
 from agents.run_directory import read_json, write_text
 from shake_env.errors import ParameterError
 
@@ -140,7 +141,7 @@ def markdown(result: dict[str, Any]) -> str:
     """Return a result as a Markdown table: cost over the reference's, and where tests were lost."""
     shown = result["controllers"]
     head = ["quantity", "made for", *(label(each) for each in shown)]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    rows = []
     for quantity in result["quantities"]:
         points, values = sweep(result, quantity), quantity["values"]
         unit = "" if quantity["unit"] == "-" else f" {quantity['unit']}"
@@ -150,15 +151,13 @@ def markdown(result: dict[str, Any]) -> str:
             " to ".join(f"{value:.3g}" for value in trained) + unit,
             *(_cell(result, points, values, quantity["unit"], each["name"]) for each in shown),
         ]
-        lines.append("| " + " | ".join(cells) + " |")
+        rows.append(cells)
     seed = "recorded" if result["seed"] is None else f"seeds from {result['seed']}"
-    lines += [
-        "",
-        f"Cost over {result['reference']}'s, least to most of the values where neither lost a test. "
-        f"{len(result['earthquakes'])} earthquakes a value, {seed}; version {result['version']} "
-        f"({result['code']}), {result['machine']}.",
-    ]
-    return "\n".join(lines) + "\n"
+    return (
+        f"{markdown_table(head, rows)}\nCost over {result['reference']}'s, least to most of the values "
+        f"where neither lost a test. {len(result['earthquakes'])} earthquakes a value, {seed}; version "
+        f"{result['version']} ({result['code']}), {result['machine']}.\n"
+    )
 
 
 def _cell(result: dict[str, Any], points: list[Point], values: list[float], unit: str, name: str) -> str:

@@ -14,13 +14,12 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from agents.figure_style import CONTROLLERS, TARGET, figure_style, new_figure
+from agents.figure_style import tracking_figure
 from agents.progress import Progress, display
 from shake_env.simulation.trajectory import Trajectory
 
 BARS = "▁▂▃▄▅▆▇█"
 WIDTH = 40  # characters of the bar and, at most, of the evaluations
-WINDOW = 5.0  # [s] of the example, about the largest base shear
 ENOUGH = 30.0  # [s] of training before a guess of the time left is worth anything
 
 
@@ -140,27 +139,8 @@ def _duration(seconds: float) -> str:
 
 
 def example_figure(trajectory: Trajectory, title: str) -> Figure:
-    """Return a figure of a policy's strongest seconds: both quantities with their targets."""
-    time, target = trajectory.time, trajectory.reference_base_shear
-    centre = time[int(np.argmax(np.abs(target)))]
-    start = min(max(centre - 0.4 * WINDOW, 0.0), max(time[-1] - WINDOW, 0.0))
-    inside = (time >= start) & (time <= start + WINDOW)
-    curve = {**CONTROLLERS[0], "marker": "", "linewidth": 1.3}
-    with figure_style():
-        figure = new_figure(7.0, 4.2)
-        upper, lower = figure.subplots(2, 1, sharex=True)
-        pairs = (
-            (upper, trajectory.target_acceleration, trajectory.table_acceleration, 1.0),
-            (lower, target, trajectory.base_shear, 1e-3),
-        )
-        for panel, wanted, achieved, unit in pairs:
-            panel.plot(time[inside], unit * wanted[inside], **TARGET, label="target")
-            panel.plot(time[inside], unit * achieved[inside], **curve, label="policy")
-        upper.set_ylabel("acceleration [m/s²]")
-        lower.set_ylabel("base shear [kN]")
-        lower.set_xlabel("time [s]")
-        upper.set_title(title, loc="left")
-        figure.legend(*upper.get_legend_handles_labels(), loc="outside lower center", ncols=2)
-        figure.draw_without_rendering()
-        figure.set_layout_engine("none")
+    """Return `tracking_figure` of a policy, laid out once: tensorboard draws it in its own time."""
+    figure = tracking_figure({"policy": trajectory}, title)
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
     return figure

@@ -6,38 +6,30 @@ import shlex
 import shutil
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from os import PathLike
 from pathlib import Path
 
-import numpy as np
 import torch
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import Figure, configure
+from stable_baselines3.common.logger import configure
 from threadpoolctl import threadpool_limits
 
 import shake_env
-from agents.learning.training_scenario import make_training_scenario, reward_scale
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.plain_values import typed
-from agents.policies.base_law import at_own_cost, base_law
 from agents.policies.policy_file import digest, load_policy
-from agents.policies.symmetry import mirror_averaged
 from agents.progress import Progress
 from agents.provenance import code_version
 from agents.run_directory import (
     BEST,
     CONFIG,
-    EVALUATIONS,
     FIRST,
     POLICY,
     RESULT,
-    append_row,
     contents,
     create,
     described,
-    evaluations,
     file_errors,
     forget_attempt,
     locked,
@@ -45,20 +37,14 @@ from agents.run_directory import (
     replacing,
     write_json,
 )
-from agents.seeds import EVALUATION_SEED, RUN_SEEDS
-from agents.training.artificial_motions import artificial_motions
+from agents.seeds import RUN_SEEDS
 from agents.training.checkpoint import checkpoints, load_checkpoint, require_no_pickles, save_checkpoint
 from agents.training.config import TrainConfig, read_config, require_same
 from agents.training.model_factory import Model, new_model
-from agents.training.policy_export import export_policy
-from agents.training.progress import example_figure
-from agents.training.warm_start import first_file, load_actor_weights
-from baselines.lqr.oracle import oracle_controller
-from baselines.lqr.sampled import lqr
+from agents.training.tables import training_tables
+from agents.training.warm_start import begin_with, first_file
+from agents.training.watch import TrainingWatch, learning_curve
 from shake_env.errors import RunDirectoryError
-from shake_env.motion.targets import FilteredNoise, MotionSet
-from shake_env.rollout import Earthquake, noise_earthquakes, rollout
-from shake_env.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -249,162 +235,6 @@ def _go_on(
     return _run(model, config, env, run, report, command)
 
 
-def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
-    """Return the training scenario: shortened episodes and a tighter bound on the scaled state."""
-    made = make_training_scenario(
-        scenario,
-        horizon=config.lookahead,
-        duration=config.episode_duration,
-        state_limit=config.state_limit,
-    )
-    if isinstance(made.motion, FilteredNoise) and config.num_artificial_motions:
-        others = artificial_motions(scenario, config.num_artificial_motions, config.seed * RUN_SEEDS)
-        made = replace(made, motion=MotionSet((*[made.motion] * config.num_artificial_motions, *others)))
-    return made
-
-
-def training_tables(config: TrainConfig, scenario: Scenario) -> ShakeTableVecEnv:
-    """Return the tables that a run trains on, with the law that its policy corrects."""
-    chosen = config.chosen
-    return ShakeTableVecEnv(
-        training_scenario(config, scenario),
-        chosen.n_envs,
-        base=base_law(chosen.base_controller, scenario, at_own_cost(scenario, config.scenario.scenario)),
-        authority=chosen.residual_scale,
-        reward_scale=reward_scale(scenario, config.discount(scenario.control_period)),
-    )
-
-
-class _EvaluationCallback(BaseCallback):
-    """Evaluates and checkpoints between roll-outs; changes nothing about the training.
-
-    Evaluations go by steps, so that a run that was interrupted keeps the same policy for its best as one
-    that was not; checkpoints go by wall time.
-    """
-
-    def __init__(
-        self,
-        config: TrainConfig,
-        env: ShakeTableVecEnv,
-        run: Path,
-        report: Callable[[Progress], None],
-    ) -> None:
-        super().__init__()
-        self.config, self.tables, self.run, self.report = config, env, run, report
-        scenario = config.scenario.build()
-        of_training = training_scenario(replace(config, num_artificial_motions=0), scenario)
-        self.scenario = replace(scenario, motion=of_training.motion)
-        self.earthquakes = noise_earthquakes(
-            self.scenario, config.evaluation_earthquakes, EVALUATION_SEED
-        )
-        if config.num_artificial_motions:
-            others = artificial_motions(scenario, config.num_artificial_motions, EVALUATION_SEED)
-            self.earthquakes += [Earthquake(m.source.name, m) for m in others]
-        self.reference = "LQR" if lqr_suits(self.scenario) else "oracle"
-        self.earthquakes, self.reference_cost = _reference(self.scenario, self.earthquakes)
-        self.started = time.monotonic()
-        self.saved = self.told = -np.inf
-        self.passed = -1  # number of the last evaluation that was due
-        self.cost_ratio: float | None = None
-        self.evaluations = [ratio for _, ratio in evaluations(run)]
-        self.card = {"control_rate": scenario.control_rate, "config": config.to_json()}
-        self.errors: tuple[float, float] | None = None
-
-    def _due(self, steps: int) -> int:
-        return steps * self.config.evaluations // self.config.steps
-
-    def _on_training_start(self) -> None:
-        behind = [steps for steps, _ in evaluations(self.run) if steps <= self.model.num_timesteps]
-        self.passed = max(map(self._due, behind), default=-1)
-
-    def _on_rollout_start(self) -> None:
-        now = time.monotonic()
-        if self._due(self.model.num_timesteps) > self.passed:
-            self.passed = self._due(self.model.num_timesteps)
-            self.evaluate()
-        if now - self.saved >= self.config.checkpoint_interval:
-            save_checkpoint(self.run, self.model, self.tables)  # type: ignore[arg-type]  # one of `Model`
-            self.saved = now
-        if now - self.told >= 0.5:
-            self.tell()
-            self.told = now
-
-    def _on_step(self) -> bool:
-        return True
-
-    def tell(self) -> None:
-        self.report(
-            Progress(
-                self.model.num_timesteps,
-                self.config.steps,
-                time.monotonic() - self.started,
-                self.cost_ratio,
-                tuple(self.evaluations),
-                self.errors,
-                self.reference,
-            )
-        )
-
-    def evaluate(self) -> None:
-        """Write the policy's mean cost on the fixed earthquakes down, and keep it if it is the best."""
-        policy = export_policy(self.model, self.tables, self.card)
-        if self.config.odd_symmetry:
-            policy = mirror_averaged(policy)
-        metrics, found = rollout(policy, self.scenario, self.earthquakes, record=(0,))
-        cost = float(np.mean([m.cost for m in metrics]))
-        self.cost_ratio = cost / self.reference_cost
-        self.evaluations.append(self.cost_ratio)
-        acceleration = float(np.mean([m.acceleration_rms_error for m in metrics]))
-        shear = float(np.mean([m.base_shear_rms_error for m in metrics]))
-        self.errors = (acceleration, shear)
-        self.logger.record("evaluation/cost_ratio", self.cost_ratio)
-        self.logger.record("evaluation/acceleration_rms_error", acceleration)
-        self.logger.record("evaluation/base_shear_rms_error", shear)
-        title = f"{metrics[0].earthquake} after {self.model.num_timesteps} control periods"
-        figure = Figure(example_figure(found[0], title), close=False)
-        self.logger.record("evaluation/example", figure)
-        self.logger.dump(self.model.num_timesteps)
-        row = {
-            "steps": self.model.num_timesteps,
-            "seconds": round(time.monotonic() - self.started, 1),
-            "cost_ratio": self.cost_ratio,
-            "acceleration_rms_error": acceleration,
-            "base_shear_rms_error": shear,
-        }
-        append_row(self.run / EVALUATIONS, row)
-        if self.cost_ratio <= min(ratio for _, ratio in evaluations(self.run)):
-            policy.save(self.run / BEST)
-
-
-def lqr_suits(scenario: Scenario) -> bool:
-    """Return whether costs are relative to LQR's, and not to the oracle's (see `_reference`)."""
-    suits = scenario.sensing.full_state and not scenario.delay and not scenario.uncertainty.active
-    return suits and scenario.limits.table_displacement is None
-
-
-def _reference(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[list[Earthquake], float]:
-    """Return the earthquakes that the reference lasts through, and its mean cost on them.
-
-    The reference is LQR, or where that cannot be used as it stands, the oracle: LQR needs the full
-    state of a table that it knows, answers at once and may drift as far as it likes. An earthquake that
-    takes the reference to a limit costs so much that it would be the whole of a mean.
-    """
-    if lqr_suits(scenario):
-        metrics, _ = rollout(lqr(scenario), scenario, earthquakes)
-    else:
-        seen, controller = oracle_controller(scenario, earthquakes)
-        metrics, _ = rollout(controller, seen, earthquakes)
-    lasting = [i for i, m in enumerate(metrics) if m.broken_limit is None] or range(len(metrics))
-    return [earthquakes[i] for i in lasting], float(np.mean([metrics[i].cost for i in lasting]))
-
-
-def _curve(run: Path) -> list[list[float]]:
-    """Return the learning curve so far: steps and cost ratio of each evaluation."""
-    # A run that was interrupted evaluates again what its last checkpoint had not seen yet.
-    curve = dict(evaluations(run))
-    return [[steps, curve[steps]] for steps in sorted(curve)]
-
-
 def _run(
     model: Model,
     config: TrainConfig,
@@ -416,7 +246,7 @@ def _run(
     code = code_version()  # that runs, not that ends
     model.set_logger(configure(str(run / "tensorboard"), ["tensorboard"]))
     with threadpool_limits(config.threads):
-        watch = _EvaluationCallback(config, env, run, report)
+        watch = TrainingWatch(config, env, run, report)
         remaining = config.steps - model.num_timesteps
         if remaining > 0:
             # SB3 counts what is added to the steps done, and its learning rate from the sum.
@@ -425,7 +255,7 @@ def _run(
         watch.evaluate()
         save_checkpoint(run, model, env)
         watch.tell()
-    best_steps, best = min(_curve(run), key=lambda point: point[1])
+    best_steps, best = min(learning_curve(run), key=lambda point: point[1])
     result = TrainResult(
         run=str(run),
         steps=model.num_timesteps,
@@ -442,7 +272,7 @@ def _run(
         "version": shake_env.__version__,
         "code": code,
         "evaluation": {key: value for key, value in asdict(result).items() if key != "run"},
-        "curve": _curve(run),
+        "curve": learning_curve(run),
     }
     if (run / FIRST).exists():
         made = load_policy(run / FIRST).card

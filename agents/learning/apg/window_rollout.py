@@ -2,12 +2,13 @@
 
 Ground, previews and sensor noise come from the environment's own numpy streams, computed ahead for the
 window and moved once. What the tables pass on from window to window is data: gradients end there. A long
-window can be followed in segments that are run again when its gradient is taken (`checkpointed`).
+window can be followed in segments that are run again when its gradient is taken (Griewank and Walther,
+Evaluating Derivatives, 2008, ch. 12; Chen et al., 2016).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
@@ -15,8 +16,8 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch.utils.checkpoint import checkpoint
 
-from agents.learning.apg.gradient_checkpointing import checkpointed
 from agents.learning.apg.torch_plant import torch_model
 from agents.learning.vec_env import ShakeTableVecEnv
 from shake_env.dynamics.ground import GroundPeriod
@@ -31,6 +32,8 @@ Kept = torch.Tensor | None
 # Observation (N, n) and the policy's memory (N, units) to action (N,), memory, and what to put aside.
 Act = Callable[[torch.Tensor, Kept], tuple[torch.Tensor, Kept, Kept]]
 
+# A segment draws no random number. The other way of torch's refuses `torch.autograd.grad`.
+SEGMENT: dict[str, Any] = {"use_reentrant": False, "preserve_rng_state": False}
 RESULTS = 3  # of a segment: costs, codes and what was put aside; then come what stands behind it
 
 
@@ -110,7 +113,6 @@ class WindowRollout:
         *,
         recalled: Kept = None,
         segment: int = 0,
-        parameters: Sequence[torch.Tensor] = (),
     ) -> Window:
         """Follow the tables over `steps` control periods; :meth:`commit` puts the environment there.
 
@@ -126,8 +128,6 @@ class WindowRollout:
             Control periods after which only what the tables pass on is kept; a gradient runs each such
             segment again. Memory is then that of one segment and of H / segment states, least near
             sqrt(H), for one more forward pass. 0: everything is kept.
-        parameters
-            What `act` depends on and gradients are taken along; needed with segments.
         """
         simulation = self.env.simulation
         ahead = _Ahead(self.model, simulation.step_count.copy(), *self._ahead(steps))
@@ -146,7 +146,7 @@ class WindowRollout:
             follow: Callable[..., tuple[Kept, ...]] = partial(self._follow, act, ahead, first, last)
             # The last segment would be run again at once.
             again = segment and last < steps and torch.is_grad_enabled()
-            part = checkpointed(follow, carried, parameters) if again else follow(*carried)
+            part = checkpoint(follow, *carried, **SEGMENT) if again else follow(*carried)
             parts.append(part[:RESULTS])
             carried = part[RESULTS:]
         cost, codes, aside = (

@@ -2,6 +2,13 @@
 // Draws the report's figures from the data in the page. Curves over time are unpacked when they are asked
 // for, and thinned to what a screen can show of the stretch in view.
 (async function () {
+  function inflate(text) {
+    const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+    return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate")));
+  }
+  const library = document.createElement("script"); // plotly.js, which the page holds compressed
+  library.textContent = await inflate(document.getElementById("plotly-script").textContent).text();
+  document.head.append(library);
   const data = JSON.parse(document.getElementById("report-data").textContent);
   const { controllers, channels, earthquakes } = data;
   const $ = (id) => document.getElementById(id);
@@ -44,9 +51,7 @@
   // --- curves over time ---------------------------------------------------------------------------
   async function unpack(packed) {
     if (packed.curves) return packed.curves;
-    const bytes = Uint8Array.from(atob(packed.blob), (c) => c.charCodeAt(0));
-    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-    const numbers = new Uint8Array(await new Response(stream).arrayBuffer());
+    const numbers = new Uint8Array(await inflate(packed.blob).arrayBuffer());
     const curves = {};
     let at = 0;
     for (const [name, scale] of Object.entries(packed.scales)) {

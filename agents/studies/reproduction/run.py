@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import time
@@ -14,6 +13,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from agents.reporting.csv_file import write_csv
+from agents.reporting.markdown_blocks import markdown_table
 from agents.studies.reproduction import figures as figures
 from agents.studies.reproduction import tables as tables
 from agents.studies.reproduction.tables import MASS_RATIOS, MODELS, STORIES, WEIGHTS
@@ -113,22 +114,17 @@ COLUMNS = ("published", "as_printed", "as_printed_with_printed_weight", "correct
 
 def _write_csv(cells: Sequence[dict[str, Any]], output: Path) -> Path:
     path = output / "tables_II_and_III.csv"
-    norms = [
-        f"{column}_{norm}"
-        for column in ("motionless", *COLUMNS)
-        for norm in ("acceleration_m2_per_s4", "base_shear_N2")
+    norms = {"acceleration": "acceleration_m2_per_s4", "base_shear": "base_shear_N2"}
+    rows = [
+        {name: row[name] for name in ("table", "stories", "mass_ratio", "printed_added_weight")}
+        | {
+            f"{column}_{name}": None if row[column] is None else row[column][key]
+            for column in ("motionless", *COLUMNS)
+            for key, name in norms.items()
+        }
+        for row in cells
     ]
-    with path.open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["table", "stories", "mass_ratio", "printed_added_weight", *norms])
-        for row in cells:
-            values = [
-                "" if row[column] is None else repr(row[column][key])
-                for column in ("motionless", *COLUMNS)
-                for key in ("acceleration", "base_shear")
-            ]
-            head = [row["table"], row["stories"], row["mass_ratio"], row["printed_added_weight"]]
-            writer.writerow([*head, *values])
+    write_csv(path, list(rows[0]), rows)
     return path
 
 
@@ -138,11 +134,6 @@ def _pair(norms: dict[str, Any] | None, floor: float = 0.0) -> str:
         return "no stable design"
     shear = norms["base_shear"]
     return f"{norms['acceleration']:.3g} : {'0' if shear < floor else format(shear, '.3g')}"
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
 def markdown(results: dict[str, Any]) -> str:
@@ -165,7 +156,7 @@ def markdown(results: dict[str, Any]) -> str:
                 + [_pair(c["corrected"], floor), _pair(c["motionless"])]
             )
         parts.append(
-            _table(
+            markdown_table(
                 ["n_m", "mu", "published", "as printed, no added weight",
                  "as printed, 5 abs(lambda_min) as rounded here", "corrected", "motionless table"],
                 rows,
@@ -184,7 +175,7 @@ def markdown(results: dict[str, Any]) -> str:
         head = ["n_m", "mu"]
         for model in ("printed", "corrected"):
             head += [f"{model}: for G~_1", f"{model}: for G~_2", f"{model}: for both (misses by)"]
-        parts.append(_table(head, rows))
+        parts.append(markdown_table(head, rows))
     parts.append("## Each printed difference by itself (n_m = 2, mu = 0.5)\n")
     rows = [
         [
@@ -201,10 +192,11 @@ def markdown(results: dict[str, Any]) -> str:
         for e in results["equations"]
     ]
     head = ["equations", "natural frequencies [Hz]", "f_s / f~_s, motionless table"]
-    parts.append(_table([*head, "f_s / f~_s, perfect tracking", "norms, Table II weights"], rows))
+    head += ["f_s / f~_s, perfect tracking", "norms, Table II weights"]
+    parts.append(markdown_table(head, rows))
     parts.append("## Same matrix, same smallest eigenvalue (Table III, n_m = 2, mu = 0.5)\n")
     rows = [[way, f"{value:.2e}"] for way, value in results["rounding"].items()]
-    parts.append(_table(["5 abs(lambda_min) by", "value"], rows))
+    parts.append(markdown_table(["5 abs(lambda_min) by", "value"], rows))
     parts.append("## 200 Hz LQR that does not know the specimen\n")
     parts.append("rms errors of acceleration : base shear, relative to the target's\n")
     rows = []
@@ -212,5 +204,5 @@ def markdown(results: dict[str, Any]) -> str:
         for name, entries in designs.items():
             pairs = [f"{r['acceleration_error']:.3f} : {r['base_shear_error']:.3f}" for r in entries]
             rows.append([stories, f"{name}" if name != "with" else "with knowledge of it", *pairs])
-    parts.append(_table(["n_m", "design", *[f"mu = {mu}" for mu in UNAWARE_MASS_RATIOS]], rows))
+    parts.append(markdown_table(["n_m", "design", *[f"mu = {mu}" for mu in UNAWARE_MASS_RATIOS]], rows))
     return "\n".join(parts)

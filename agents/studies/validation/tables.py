@@ -11,6 +11,7 @@ from typing import Any
 from rich.console import Console
 
 from agents.reporting.csv_file import write_csv
+from agents.reporting.markdown_blocks import markdown_table
 from agents.reporting.terminal import print_table
 
 Rows = list[list[str]]
@@ -128,12 +129,6 @@ def responses_table(differences: Sequence[dict[str, Any]]) -> tuple[list[str], R
     return head, rows
 
 
-def _markdown_table(table: tuple[list[str], Rows]) -> str:
-    head, rows = table
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
-
-
 def markdown(results: dict[str, Any]) -> str:
     """Return every table of the validation as markdown."""
     motions, reduction = results["motions"], results["reduction"]
@@ -144,19 +139,19 @@ def markdown(results: dict[str, Any]) -> str:
          r["unit"], r["reason"]]
         for r in results["ranges"]
     ]  # fmt: skip
-    parts.append(_markdown_table((["quantity", "rated", "limit", "unit", "reason"], rows)))
+    parts.append(markdown_table(["quantity", "rated", "limit", "unit", "reason"], rows))
     parts.append("## Who exceeds what\n")
     parts.append("Responses above the rated size, in brackets those above the limit.\n")
-    parts.append(_markdown_table(exceeded_table(motions)))
+    parts.append(markdown_table(*exceeded_table(motions)))
     parts.append("## Peaks and amplitude factors\n")
     parts.append("`*` above the rated size, `**` above the limit. The factor on the present amplitude")
     parts.append("brings the table to its rated sizes, then the same without the stroke, then the")
     parts.append("specimen to 1 % of drift. Above 1 there is room to spare.\n")
     for group in dict.fromkeys(m["group"] for m in motions):
         parts.append(f"### {group}\n")
-        parts.append(_markdown_table(peaks_table([m for m in motions if m["group"] == group])))
+        parts.append(markdown_table(*peaks_table([m for m in motions if m["group"] == group])))
     parts.append("## Fidelity\n")
-    parts.append(_markdown_table(fidelity_table(motions)))
+    parts.append(markdown_table(*fidelity_table(motions)))
     parts.append("## Balanced reduction\n")
     for table, r in reduction.items():
         bound = r["error_bound"] / r["h_infinity_norm"]
@@ -167,10 +162,10 @@ def markdown(results: dict[str, Any]) -> str:
             f"stable step {r['largest_stable_step']:.2g} s, then "
             f"{r['reduced_largest_stable_step']:.2g} s.\n"
         )
-    parts.append(_markdown_table(reduction_table(reduction)))
+    parts.append(markdown_table(*reduction_table(reduction)))
     parts.append("## Full against reduced responses\n")
     parts.append("Largest difference over the full response's peak, settled model.\n")
-    parts.append(_markdown_table(responses_table(results["reduced_responses"])))
+    parts.append(markdown_table(*responses_table(results["reduced_responses"])))
     return "\n".join(parts)
 
 

@@ -1,12 +1,15 @@
 """The report of a comparison: its numbers against theory, its page against what a page must be."""
 
+import base64
 import json
 import re
+import zlib
 from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from plotly.offline import get_plotlyjs
 
 from agents.__main__ import main
 from agents.evaluation.comparison import compare, summarise
@@ -22,7 +25,7 @@ from agents.reporting.report import (
 from agents.reporting.report_data import page_data
 from agents.reporting.report_estimates import Drawn, TransferEstimate, lqr_frontier
 from agents.reporting.report_page import page, unbroken, write_report
-from agents.reporting.report_traces import LEVELS, Curves, pack, pack_all, unpack
+from agents.reporting.report_traces import BUDGET, LEVELS, Curves, pack, pack_all, unpack
 from agents.reporting.summary_text import verdict
 from agents.run_directory import learning_curve
 from baselines.lqr.sampled import lqr
@@ -319,10 +322,20 @@ def test_the_page_loads_nothing(linear):
         for key in ("src", "href", "srcset", "data", "action"):
             value = attributes.get(key, "data:,")
             assert value == "data:," or value in ("traces.svg", "traces.png"), (key, value)
-    own = text[: text.index("/**")] + text[text.index('<script type="application/json"') :]
-    assert "://" not in own
-    assert "@import" not in own
-    assert "url(" not in own
+    assert not any(each in text for each in ("://", "@import", "url("))
+
+
+def test_a_full_page_stays_below_5_mb(linear):
+    text = page(linear, [])
+    curves = [packed for quake in page_data(linear)["earthquakes"] for packed in quake["runs"]]
+    curves += [quake["target"] for quake in page_data(linear)["earthquakes"]]
+    assert len(text) - sum(len(packed["blob"]) for packed in curves) + BUDGET < 4_995_000
+
+
+def test_the_page_holds_the_plotting_library_of_the_installed_package(linear):
+    packed = re.search(r'id="plotly-script">(.*?)</script>', page(linear, []), re.DOTALL)[1]
+    source = zlib.decompress(base64.b64decode(packed)).decode("utf-8")
+    assert source == get_plotlyjs() and "MIT" in source[:400]  # its licence's notice stays with it
 
 
 def test_the_page_is_accessible_by_structure(linear):
@@ -390,18 +403,8 @@ def test_a_run_directory_has_its_learning_curve(tmp_path):
 
 def test_the_command_writes_the_report_it_names(tmp_path, capsys):
     folder = tmp_path / "report"
-    arguments = [
-        "compare",
-        "--no-records",
-        "--num-noise-motions",
-        "2",
-        "--duration",
-        "2",
-        "--controllers",
-        "none",
-        "--output",
-    ]
-    assert main([*arguments, str(tmp_path / "out"), "--report", str(folder)]) == 0
+    arguments = ["--no-records", "--noise=2", "--duration=2", "--controllers", "none", "--output"]
+    assert main(["compare", *arguments, str(tmp_path / "out"), "--report", str(folder)]) == 0
     written = "".join(capsys.readouterr().out.split())  # a narrow terminal folds paths
     assert f"wrote{folder}/index.html" in written
     text = (folder / "index.html").read_text(encoding="utf-8")

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from gradient_models import model_on
 
-from agents.learning.apg.gradient_checkpointing import checkpointed
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_law
 from agents.training.algorithm_options import APGOptions
@@ -29,32 +28,6 @@ def estimated(scenario):
     model = new_model(config, scenario, env)
     model._setup_learn(1)
     return model
-
-
-def test_a_segment_is_differentiated_along_its_inputs_and_its_parameters():
-    weight = torch.tensor([[0.3, -0.2], [0.1, 0.4]], dtype=torch.float64, requires_grad=True)
-    start = torch.tensor([1.0, 2.0], dtype=torch.float64, requires_grad=True)
-    runs = []
-
-    def run(x, flags, nothing):
-        runs.append(torch.is_grad_enabled())
-        return torch.tanh(weight @ x), flags & (x.sum() > 0.0), nothing
-
-    def loss(through):
-        x, flags, nothing = start, torch.tensor([True, False]), None
-        for _ in range(3):
-            x, flags, nothing = through(x, flags, nothing)
-        assert nothing is None and not flags.requires_grad
-        return (x**2).sum()
-
-    expected = torch.autograd.grad(loss(run), (weight, start))
-    runs.clear()
-    total = loss(lambda *inputs: checkpointed(run, inputs, [weight]))
-    assert runs == [False] * 3  # nothing is kept on the way
-    found = torch.autograd.grad(total, (weight, start))
-    assert runs == [False] * 3 + [True] * 3
-    for one, two in zip(found, expected, strict=True):
-        np.testing.assert_allclose(one.numpy(), two.numpy(), rtol=1e-14)
 
 
 @pytest.mark.parametrize("segment", [1, 5, 12])
@@ -85,12 +58,9 @@ def test_a_window_in_segments_has_the_whole_windows_gradient(name, overrides, op
         return loss.item(), [*stands, *(g for g in gradients if g is not None)]
 
     (whole, expected), (parts, found) = both(0), both(segment)
-    assert parts == pytest.approx(whole, rel=1e-14)
-    assert len(found) == len(expected)
+    assert parts == whole
     for one, two in zip(found, expected, strict=True):
-        # The same terms, summed in another order: rounding of the largest of them.
-        scale = max(two.abs().max().item(), 1e-300)
-        np.testing.assert_allclose(one.numpy() / scale, two.numpy() / scale, atol=1e-12)
+        np.testing.assert_array_equal(one.numpy(), two.numpy())
 
 
 def test_what_a_gradient_keeps_falls_with_the_segment():
@@ -135,10 +105,7 @@ def test_training_goes_the_same_way_in_segments(memory):
         model.learn(3 * 24 * 2)
         return torch.nn.utils.parameters_to_vector(model.policy.parameters()).detach().numpy()
 
-    whole, parts = learned(0), learned(5)
-    # Adam divides single-precision gradients by their size: a step of 1e-3 is as uncertain as the sign
-    # of entries that are rounding alone, and all others are the same.
-    assert np.mean(np.abs(whole - parts) > 1e-6) < 0.02
+    np.testing.assert_array_equal(learned(5), learned(0))
 
 
 def test_a_negative_segment_is_refused():
