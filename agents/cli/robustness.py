@@ -156,8 +156,8 @@ def _identity(command: Robustness, options: ScenarioOptions) -> dict[str, Any]:
 
     scenario = options.build()
     tuned = tuned_values(command.tuned)
-    chosen, sources = controllers_of(command.controllers or (), scenario, tuned)
-    grid = Grid.of(scenario, command.quantities, command.maps)
+    chosen, sources = controllers_with_sources(command.controllers or (), scenario, tuned)
+    grid = Grid.of(scenario, command.perturb, command.maps)
     return plain(
         {
             "scenario": given_options(options.__dict__),

@@ -12,6 +12,7 @@ import shake_env
 from agents.evaluation.comparison import compare
 from agents.evaluation.controller_set import ALL, values_to_json
 from agents.evaluation.results import Comparison, GroupSummary, plain_row
+from agents.policies.registry import ORACLE
 from agents.provenance import machine
 from agents.run_directory import described, read_json
 from agents.seeds import TEST_SEED

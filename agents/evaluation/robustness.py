@@ -23,7 +23,7 @@ from agents.evaluation.perturbations import (
     training_range,
 )
 from agents.policies.policy_file import PolicyFile, digest
-from agents.policies.registry import SHIPPED, file_of, shipped_policy
+from agents.policies.registry import ORACLE, SHIPPED, policy_path, shipped_policy
 from agents.provenance import code_version, machine
 from agents.seeds import ROBUSTNESS_SEED
 from baselines.tuned_values import TunedValues

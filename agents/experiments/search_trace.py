@@ -166,7 +166,7 @@ def markdown(trace: Trace, figures: str) -> str:
         return "\n".join([*lines, "No trial came to be judged.", ""])
     best, start = judged[0], trace.start
     good = judged[: max(1, len(judged) // BEST)]
-    head = ("value", "searched", "recipe", f"best trial ({best.number})", f"best quarter ({len(good)})")
+    head = ("value", "searched", "experiment", f"best trial ({best.number})", f"best quarter ({len(good)})")
     lost = ["-" if start is None else str(start.lost), str(best.lost)]
     rows: list[tuple[str, ...]] = [
         ("cost [95 %]", "", _judged(start), _judged(best), f"to {_number(_cost(good[-1]))}"),
@@ -177,8 +177,8 @@ def markdown(trace: Trace, figures: str) -> str:
         span = _chosen(knob, drawn) if isinstance(knob, Choice) else _span(drawn)
         values = (trace.own[knob.name], best.values[knob.name])
         rows.append((knob.meaning, _searched(knob), *map(_number, values), span))
-    figure = f"{figures}/{file_name(trace.recipe)}.png"
-    caption = f"Cost of each trial of {trace.recipe} over each value that was searched"
+    figure = f"{figures}/{file_name(trace.experiment)}.png"
+    caption = f"Cost of each trial of {trace.experiment} over each value that was searched"
     return "\n".join([*lines, markdown_table(head, rows), f"![{caption}]({figure})", ""])
 
 

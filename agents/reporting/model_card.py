@@ -136,7 +136,7 @@ def card_text(
     changed = ", ".join(f"{key} = {value}" for key, value in scenario.items())
     memory = "none" if policy.memory is None else f"{policy.memory.kind}, {policy.memory.units} units"
     widths = "x".join(str(len(bias)) for bias in policy.biases[:-1])
-    twice = ", one and its mirror image" if config.get("mirrored") else ""
+    twice = ", one and its mirror image" if config.get("odd_symmetry") else ""
     first = card.get("first")  # the policy that training began with
     facts = [
         ("scenario", f"{name}{f' with {changed}' if changed else ''}"),
@@ -201,7 +201,7 @@ def _evaluation(result: dict[str, Any], row: dict[str, Any], sha: str) -> list[s
             f"{result['normaliser']} is {row['run_costs'][place]:.4f}.",
             "",
         ]
-    same = result["reference"] == result["yardstick"]
+    same = result["reference"] == result["normaliser"]
     figures = [
         (title.format(**result), interval(row[key], digits, scale))
         for key, title, digits, scale in ROWS

@@ -23,6 +23,7 @@ import shake_env
 from agents.evaluation.bootstrap import mean_interval
 from agents.evaluation.results import GroupSummary
 from agents.figure_style import figure_style
+from agents.policies.registry import ORACLE
 from agents.reporting.report import Report
 from agents.reporting.report_data import page_data
 from agents.reporting.report_figures import stills
@@ -73,7 +74,7 @@ def page(report: Report, stills: Sequence[str]) -> str:
         setting=_setting(report),
         changed=None if report.unlike is None else _robustness(report.unlike),
         stills=stills,
-        bound=CLAIRVOYANT,
+        bound=ORACLE,
         version=shake_env.__version__,
         script=script,
         style=style,

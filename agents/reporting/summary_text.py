@@ -66,7 +66,7 @@ def verdict(comparison: Comparison, scenario: Scenario, label: Callable[[str], s
     )
     group = main_group(comparison)
     rows = {s.controller: s for s in comparison.summaries if s.group == group}
-    bound = rows.pop(CLAIRVOYANT, None)
+    bound = rows.pop(ORACLE, None)
     candidates = sorted(rows.values(), key=lambda row: row.relative_cost)
     facts = {
         "label": label,

@@ -42,7 +42,7 @@ from agents.training.checkpoint import checkpoints, load_checkpoint, require_no_
 from agents.training.config import TrainConfig, read_config, require_same
 from agents.training.model_factory import Model, new_model
 from agents.training.tables import training_tables
-from agents.training.warm_start import begin_with, first_file
+from agents.training.warm_start import first_file, load_actor_weights
 from agents.training.watch import TrainingWatch, learning_curve
 from shake_env.errors import RunDirectoryError
 

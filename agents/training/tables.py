@@ -19,12 +19,12 @@ def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
     made = make_training_scenario(
         scenario,
         horizon=config.lookahead,
-        duration=config.episode,
+        duration=config.episode_duration,
         state_limit=config.state_limit,
     )
-    if isinstance(made.motion, FilteredNoise) and config.artificial:
-        others = artificial_motions(scenario, config.artificial, config.seed * RUN_SEEDS)
-        made = replace(made, motion=MotionSet((*[made.motion] * config.artificial, *others)))
+    if isinstance(made.motion, FilteredNoise) and config.num_artificial_motions:
+        others = artificial_motions(scenario, config.num_artificial_motions, config.seed * RUN_SEEDS)
+        made = replace(made, motion=MotionSet((*[made.motion] * config.num_artificial_motions, *others)))
     return made
 
 
@@ -33,8 +33,8 @@ def training_tables(config: TrainConfig, scenario: Scenario) -> ShakeTableVecEnv
     chosen = config.chosen
     return ShakeTableVecEnv(
         training_scenario(config, scenario),
-        chosen.tables,
-        base=base_law(chosen.base, scenario, at_own_cost(scenario, config.scenario.scenario)),
-        authority=chosen.authority,
+        chosen.n_envs,
+        base=base_law(chosen.base_controller, scenario, at_own_cost(scenario, config.scenario.scenario)),
+        authority=chosen.residual_scale,
         reward_scale=reward_scale(scenario, config.discount(scenario.control_period)),
     )

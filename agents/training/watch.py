@@ -22,7 +22,7 @@ from agents.training.config import TrainConfig
 from agents.training.policy_export import export_policy
 from agents.training.progress import example_figure
 from agents.training.tables import training_scenario
-from baselines.lqr.oracle import clairvoyant
+from baselines.lqr.oracle import oracle_controller
 from baselines.lqr.sampled import lqr
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario.scenario import Scenario
@@ -45,15 +45,15 @@ class TrainingWatch(BaseCallback):
         super().__init__()
         self.config, self.tables, self.run, self.report = config, env, run, report
         scenario = config.scenario.build()
-        of_training = training_scenario(replace(config, artificial=0), scenario)
+        of_training = training_scenario(replace(config, num_artificial_motions=0), scenario)
         self.scenario = replace(scenario, motion=of_training.motion)
         self.earthquakes = noise_earthquakes(
             self.scenario, config.evaluation_earthquakes, EVALUATION_SEED
         )
-        if config.artificial:
-            others = artificial_motions(scenario, config.artificial, EVALUATION_SEED)
+        if config.num_artificial_motions:
+            others = artificial_motions(scenario, config.num_artificial_motions, EVALUATION_SEED)
             self.earthquakes += [Earthquake(m.source.name, m) for m in others]
-        self.reference = "LQR" if lqr_suits(self.scenario) else "clairvoyant"
+        self.reference = "LQR" if lqr_suits(self.scenario) else "oracle"
         self.earthquakes, self.reference_cost = _reference(self.scenario, self.earthquakes)
         self.started = time.monotonic()
         self.saved = self.told = -np.inf
@@ -102,7 +102,7 @@ class TrainingWatch(BaseCallback):
     def evaluate(self) -> None:
         """Write the policy's mean cost on the fixed earthquakes down, and keep it if it is the best."""
         policy = export_policy(self.model, self.tables, self.card)
-        if self.config.mirrored:
+        if self.config.odd_symmetry:
             policy = mirror_averaged(policy)
         metrics, found = rollout(policy, self.scenario, self.earthquakes, record=(0,))
         cost = float(np.mean([m.cost for m in metrics]))
@@ -131,7 +131,7 @@ class TrainingWatch(BaseCallback):
 
 
 def lqr_suits(scenario: Scenario) -> bool:
-    """Return whether costs are relative to LQR's, and not to the clairvoyant's (see `_reference`)."""
+    """Return whether costs are relative to LQR's, and not to the oracle's (see `_reference`)."""
     suits = scenario.sensing.full_state and not scenario.delay and not scenario.uncertainty.active
     return suits and scenario.limits.table_displacement is None
 
@@ -139,14 +139,14 @@ def lqr_suits(scenario: Scenario) -> bool:
 def _reference(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[list[Earthquake], float]:
     """Return the earthquakes that the reference lasts through, and its mean cost on them.
 
-    The reference is LQR, or where that cannot be used as it stands, the clairvoyant: LQR needs the full
+    The reference is LQR, or where that cannot be used as it stands, the oracle: LQR needs the full
     state of a table that it knows, answers at once and may drift as far as it likes. An earthquake that
     takes the reference to a limit costs so much that it would be the whole of a mean.
     """
     if lqr_suits(scenario):
         metrics, _ = rollout(lqr(scenario), scenario, earthquakes)
     else:
-        seen, controller = clairvoyant(scenario, earthquakes)
+        seen, controller = oracle_controller(scenario, earthquakes)
         metrics, _ = rollout(controller, seen, earthquakes)
     lasting = [i for i, m in enumerate(metrics) if m.broken_limit is None] or range(len(metrics))
     return [earthquakes[i] for i in lasting], float(np.mean([metrics[i].cost for i in lasting]))

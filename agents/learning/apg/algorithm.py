@@ -273,7 +273,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
             action = self.policy.action_net(self.policy.mlp_extractor.forward_actor(actor))[:, 0]
             return action, memory, critic if self.terminal_value else None
 
-        window = self.tables.roll(act, self.window, recalled=self._begin(), segment=self.checkpoint)
+        window = self.tables.rollout(act, self.window, recalled=self._begin(), segment=self.checkpoint)
         self.memory = None if window.recalled is None else window.recalled.detach()
         seen: list[torch.Tensor] = []
         if window.aside is not None:
