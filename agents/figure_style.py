@@ -5,6 +5,7 @@ Colours are Okabe and Ito's. Lines also differ by dash and by lightness, so that
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
@@ -14,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+
+from shake_env.file_writing import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.typing import RcKeyType
@@ -99,6 +102,20 @@ def save_figure(figure: Figure, folder: str | PathLike[str], name: str) -> list[
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # laid out once, not again for each format
     paths = [folder / f"{name}.png", folder / f"{name}.svg"]
-    figure.savefig(paths[0], metadata={"Software": None})
-    figure.savefig(paths[1], metadata={"Date": None})
+    for path in paths:
+        write_figure(figure, path)
     return paths
+
+
+def write_figure(figure: Figure, path: Path) -> None:
+    """Write `figure` as PNG or SVG, as the file's ending says; the same figure has the same bytes.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written.
+    """
+    kind = path.suffix.removeprefix(".")
+    image = io.BytesIO()
+    figure.savefig(image, format=kind, metadata={"Date" if kind == "svg" else "Software": None})
+    write_bytes(path, image.getvalue())

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from shake_env.errors import ParameterError
+from shake_env.file_writing import write_text
 from shake_env.model.parameters import is_number
 
 FORMAT = "shake-tuned-1"
@@ -138,10 +139,7 @@ def write_tuned(values: TunedValues, file: str | PathLike[str]) -> None:
     """Write a file of tuned values; a reader never sees half of it."""
     file = Path(file)
     plain = {"format": FORMAT, "entries": [entry.to_json() for entry in values.entries]}
-    file.parent.mkdir(parents=True, exist_ok=True)
-    partial = file.with_suffix(".partial")
-    partial.write_text(json.dumps(plain, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-    partial.replace(file)
+    write_text(file, json.dumps(plain, indent=1, sort_keys=True) + "\n")
 
 
 @lru_cache(maxsize=1)

@@ -12,8 +12,9 @@ from agents.cli.command_options import CommandOptions, tuned_values
 from agents.cli.output_path import require_writable
 from agents.progress import progress_bar
 from agents.reporting.terminal import print_markdown
-from agents.run_directory import write_json
-from shake_env.errors import ParameterError, ScenarioError, unknown
+from shake_env.errors import ParameterError
+from shake_env.file_writing import write_json
+from shake_env.scenario.overrides import make_scenario
 from shake_env.scenario.presets import NAMED
 
 
@@ -31,7 +32,8 @@ class Bench(CommandOptions):
     """
 
     scenarios: tuple[str, ...] = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
-    """Named scenarios."""
+    """Names of scenarios, or JSON files that shake scenario --json printed; the result of mine.json is
+    bench_mine.json. The page shows named ones alone."""
     controllers: tuple[str, ...] = ("clairvoyant", "all")
     """Names as shake compare takes them; all: every classical controller that suits the scenario."""
     earthquakes: int = 200
@@ -47,7 +49,7 @@ class Bench(CommandOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Run what is not done, and say where it lies."""
-        from agents.evaluation.benchmark import read_results, result_file
+        from agents.evaluation.benchmark import label, read_results, result_file
         from agents.evaluation.controller_set import describe_values, require_names
         from agents.reporting.benchmark_tables import markdown, put_tables
 
@@ -55,6 +57,10 @@ class Bench(CommandOptions):
         if not self.scenarios:
             raise ParameterError("scenarios", "none", f"name at least one of {', '.join(NAMED)}")
         require_writable(self.results, "results")
+        labels = [label(name) for name in self.scenarios]
+        if len({*labels}) < len(labels):
+            remedy = "two results would have one name: rename a file, or name each scenario once"
+            raise ParameterError("scenarios", self.scenarios, remedy)
         known = {name: self._known(name) for name in self.scenarios}  # before hours are spent
         results = {}
         for name in self.scenarios:
@@ -65,7 +71,6 @@ class Bench(CommandOptions):
                 console.print(
                     f"{name}: read from {file}, made before with {number} earthquakes by version "
                     f"{result['version']} (--again runs it anew)",
-                    soft_wrap=True,
                 )
             else:
                 result = self._run(name)
@@ -75,7 +80,7 @@ class Bench(CommandOptions):
             print_markdown(console, markdown(result))
             for note in (describe_values(result.get("values", {})), *result.get("warnings", ())):
                 if note:
-                    console.print(note, highlight=False, soft_wrap=True)
+                    console.print(note, highlight=False)
         if self.page is not None:
             put_tables(self.page, read_results(self.results))
             console.print(f"wrote {self.page}")
@@ -87,7 +92,7 @@ class Bench(CommandOptions):
         Raises
         ------
         ScenarioError
-            If there is no such scenario.
+            If there is no such scenario, or a scenario file is none.
         FileError
             If its file is no complete result.
         ParameterError
@@ -95,8 +100,7 @@ class Bench(CommandOptions):
         """
         from agents.evaluation.benchmark import difference, read_result, result_file
 
-        if name not in NAMED:
-            raise unknown(ScenarioError, "scenario", name, NAMED)
+        make_scenario(name)  # before anything is run
         file = result_file(self.results, name)
         if self.again or not file.exists():
             return None

@@ -163,6 +163,7 @@ class Results(CommandOptions):
         """Print the tables; or write the page, and say what has no place on it."""
         from agents.evaluation.result_files import read_results
         from agents.reporting.evaluation_tables import markdown, put_tables
+        from agents.reporting.terminal import print_markdown
 
         if self.page is not None and not self.page.is_file():
             raise ParameterError("page", str(self.page), "there is no such file")
@@ -171,7 +172,8 @@ class Results(CommandOptions):
             raise ParameterError("results", str(self.results), "holds no evaluation_*.json")
         if self.page is None:
             for name, result in results.items():
-                console.print(f"{name}\n\n{markdown(result)}", highlight=False, soft_wrap=True)
+                console.print(f"{name}\n", highlight=False)
+                print_markdown(console, markdown(result))
             return {"page": None, "tables": list(results), "without_place": []}
         missing = put_tables(self.page, results)
         console.print(

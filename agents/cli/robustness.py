@@ -77,7 +77,7 @@ class Robustness(FolderOptions):
         print_markdown(console, section(result))
         for note in (describe_values(result["values"]), *result["warnings"]):
             if note:
-                console.print(note, highlight=False, soft_wrap=True)
+                console.print(note, highlight=False)
         for reason in result["skipped"]:
             console.print(f"left out: {reason}")
         if folder is not None:

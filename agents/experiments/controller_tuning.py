@@ -18,7 +18,6 @@ import numpy as np
 
 import shake_env
 from agents.policies.own_controller import is_own_controller, own_baseline, own_source
-from agents.run_directory import file_errors
 from agents.seeds import VALIDATION_SEED
 from baselines.catalogue import BASELINES, Baseline, Tunable
 from baselines.registry import parameter_values
@@ -33,6 +32,7 @@ from shake_env.errors import (
     install_hint,
     unknown,
 )
+from shake_env.file_writing import file_errors
 from shake_env.motion.targets import FilteredNoise
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario.digest import scenario_digest

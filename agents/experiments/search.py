@@ -30,7 +30,7 @@ from agents.experiments.search_trace import Trace, TrialRow
 from agents.policies.policy_file import load_policy
 from agents.progress import Progress
 from agents.provenance import code_version
-from agents.run_directory import POLICY, file_errors, locked
+from agents.run_directory import POLICY, locked
 from agents.seeds import VALIDATION_SEED
 from agents.training.checkpoint import delete_checkpoints
 from agents.training.config import config_of
@@ -44,6 +44,7 @@ from shake_env.errors import (
     install_hint,
     unknown,
 )
+from shake_env.file_writing import file_errors
 
 UNJUDGED = 5  # trials that no pruner ends: a median of fewer says little
 

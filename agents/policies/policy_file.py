@@ -21,8 +21,8 @@ from safetensors.numpy import save
 from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.policy_header import check_card, parse_header
 from agents.policies.recurrent_cells import PARTS, UNITS, GatedUnit, MemoryUnit, Weights, rest
-from agents.run_directory import replacing
 from shake_env.errors import PolicyFileError
+from shake_env.file_writing import write_bytes
 from shake_env.scenario.limits import OBSERVATION_BOUND
 from shake_env.scenario.scenario import Scenario
 
@@ -190,8 +190,7 @@ class PolicyFile:
         for name in () if self.law is None else LAW:
             arrays[f"law.{name}"] = getattr(self.law, name)
         contiguous = {name: np.ascontiguousarray(a) for name, a in arrays.items()}
-        with replacing(path) as partial:
-            partial.write_bytes(save(contiguous, {"shake": json.dumps(header, sort_keys=True)}))
+        write_bytes(path, save(contiguous, {"shake": json.dumps(header, sort_keys=True)}))
 
 
 def digest(file: str | PathLike[str]) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 
-from agents.run_directory import write_text
 from shake_env.errors import ParameterError
+from shake_env.file_writing import write_text
 
 
 def has_place(page: str | PathLike[str], place: str) -> bool:

@@ -26,6 +26,7 @@ from agents.reporting.report_data import page_data
 from agents.reporting.report_figures import stills
 from agents.reporting.robustness_figures import figures
 from agents.reporting.robustness_tables import findings, label
+from shake_env.file_writing import write_text
 
 PLOTLY_FILE = "plotly-basic-4.1.1.min.js.gz"  # plotly.js, basic distribution; MIT, says its first line
 Cell = str
@@ -428,7 +429,7 @@ def write_report(report: Report, folder: str | PathLike[str]) -> list[Path]:
     folder = Path(folder)
     names = stills(report, folder)
     path = folder / "index.html"
-    path.write_text(page(report, names), encoding="utf-8")
+    write_text(path, page(report, names))
     return [path, *(folder / f"{name}.{ending}" for name in names for ending in ("svg", "png"))]
 
 
@@ -455,7 +456,7 @@ def robustness_part(result: dict[str, Any]) -> str:
 
 
 def _png(figure: Figure) -> str:
-    written = io.BytesIO()
+    image = io.BytesIO()
     with figure_style():
-        figure.savefig(written, format="png", metadata={"Software": None})
-    return base64.b64encode(written.getvalue()).decode("ascii")
+        figure.savefig(image, format="png", metadata={"Software": None})
+    return base64.b64encode(image.getvalue()).decode("ascii")

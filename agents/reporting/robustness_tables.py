@@ -8,8 +8,9 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from agents.run_directory import read_json, write_text
+from agents.run_directory import read_json
 from shake_env.errors import ParameterError
+from shake_env.file_writing import write_text
 
 PREFIX = "robustness_"
 MATTERS = (

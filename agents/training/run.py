@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import Figure, configure
+from stable_baselines3.common.logger import Figure
 from threadpoolctl import threadpool_limits
 
 import shake_env
@@ -38,17 +38,15 @@ from agents.run_directory import (
     create,
     described,
     evaluations,
-    file_errors,
     forget_attempt,
     locked,
     read_json,
-    replacing,
-    write_json,
 )
 from agents.seeds import EVALUATION_SEED, RUN_SEEDS
 from agents.training.artificial_motions import artificial_motions
 from agents.training.checkpoint import checkpoints, load_checkpoint, require_no_pickles, save_checkpoint
 from agents.training.config import TrainConfig, read_config, require_same
+from agents.training.event_log import event_log
 from agents.training.model_factory import Model, new_model
 from agents.training.policy_export import export_policy
 from agents.training.progress import example_figure
@@ -56,6 +54,7 @@ from agents.training.warm_start import begin_with, first_file
 from baselines.lqr.oracle import clairvoyant
 from baselines.lqr.sampled import lqr
 from shake_env.errors import RunDirectoryError
+from shake_env.file_writing import file_errors, replacing, write_json
 from shake_env.motion.targets import FilteredNoise, MotionSet
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario.scenario import Scenario
@@ -414,8 +413,8 @@ def _run(
     command: str | None,
 ) -> TrainResult:
     code = code_version()  # that runs, not that ends
-    model.set_logger(configure(str(run / "tensorboard"), ["tensorboard"]))
-    with threadpool_limits(config.threads):
+    with event_log(run / "tensorboard") as logger, threadpool_limits(config.threads):
+        model.set_logger(logger)
         watch = _Watch(config, env, run, report)
         remaining = config.steps - model.num_timesteps
         if remaining > 0:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import time
@@ -14,9 +13,11 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from agents.reporting.csv_file import write_csv
 from agents.studies.reproduction import figures as figures
 from agents.studies.reproduction import tables as tables
 from agents.studies.reproduction.tables import MASS_RATIOS, MODELS, STORIES, WEIGHTS
+from shake_env.file_writing import write_text
 
 DESIGN_WITHOUT_SPECIMEN = 1e-3  # mu of a design that takes the table as empty but keeps every weight
 UNAWARE_MASS_RATIOS = (0.1, 0.2, 0.5, 1.0, 2.0)
@@ -58,7 +59,6 @@ def reproduce(
     output = Path(output)
     started = time.perf_counter()
     output = Path(output)
-    output.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
 
     def done(what: str) -> None:
@@ -102,8 +102,8 @@ def reproduce(
     done("figures")
 
     files += [_write_csv(results["cells"], output), output / "reproduction.json", output / "tables.md"]
-    files[-2].write_text(json.dumps(results, indent=1, allow_nan=False) + "\n")
-    files[-1].write_text(markdown(results))
+    write_text(files[-2], json.dumps(results, indent=1, allow_nan=False) + "\n")
+    write_text(files[-1], markdown(results))
     done("tables written")
     return {**results, "seconds": time.perf_counter() - started, "files": [str(f) for f in files]}
 
@@ -118,17 +118,16 @@ def _write_csv(cells: Sequence[dict[str, Any]], output: Path) -> Path:
         for column in ("motionless", *COLUMNS)
         for norm in ("acceleration_m2_per_s4", "base_shear_N2")
     ]
-    with path.open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["table", "stories", "mass_ratio", "printed_added_weight", *norms])
-        for row in cells:
-            values = [
-                "" if row[column] is None else repr(row[column][key])
-                for column in ("motionless", *COLUMNS)
-                for key in ("acceleration", "base_shear")
-            ]
-            head = [row["table"], row["stories"], row["mass_ratio"], row["printed_added_weight"]]
-            writer.writerow([*head, *values])
+    head = ["table", "stories", "mass_ratio", "printed_added_weight"]
+    rows = []
+    for cell in cells:
+        values = [
+            None if cell[column] is None else cell[column][key]
+            for column in ("motionless", *COLUMNS)
+            for key in ("acceleration", "base_shear")
+        ]
+        rows.append({name: cell[name] for name in head} | dict(zip(norms, values, strict=True)))
+    write_csv(path, [*head, *norms], rows)
     return path
 
 

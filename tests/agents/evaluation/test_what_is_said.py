@@ -12,6 +12,7 @@ from agents.reporting.benchmark_tables import markdown
 from agents.reporting.comparison_tables import print_tables
 from shake_env import make_scenario
 from shake_env.errors import ScenarioError
+from shake_env.scenario.scenario_file import scenario_fields
 
 SHORT = make_scenario("linear", {"duration": 0.4})
 
@@ -84,6 +85,29 @@ def test_bench_names_other_controllers_and_unknown_scenarios(bench, capsys):
     assert "none" in err and "lqr" in err and "--again" in err
     assert main(["bench", "--scenarios", "linaer"]) == 2
     assert "did you mean 'linear'" in capsys.readouterr().err
+
+
+def test_bench_takes_a_scenario_file_and_notices_that_it_changed(tmp_path, capsys):
+    file = tmp_path / "mine.json"
+
+    def bench(duration, *more):
+        scenario = make_scenario("linear", {"duration": duration})
+        file.write_text(json.dumps({"name": scenario.name, "fields": scenario_fields(scenario)}))
+        words = ["bench", "--controllers", "none", "--earthquakes", "2", "--results", str(tmp_path)]
+        return main([*words, "--scenarios", str(file), *more])
+
+    assert bench(0.5, "--json") == 0
+    result = json.loads(capsys.readouterr().out)[str(file)]
+    assert result["scenario"] == "mine" and result["reference"] == "lqr"
+    assert json.loads((tmp_path / "bench_mine.json").read_text()) == result
+    assert bench(0.5) == 0
+    assert "made before" in capsys.readouterr().out
+    assert bench(0.6) == 2
+    assert "another scenario that is called mine" in capsys.readouterr().err
+    assert bench(0.5, str(tmp_path / "elsewhere" / "mine.json")) == 2
+    assert "one name" in capsys.readouterr().err
+    assert bench(0.5, str(tmp_path / "absent.json")) == 2
+    assert "absent.json" in capsys.readouterr().err
 
 
 def test_bench_writes_nothing_into_the_docs_unless_told(monkeypatch, tmp_path, capsys):
