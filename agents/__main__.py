@@ -66,7 +66,7 @@ def run_words(words: Sequence[str]) -> int:
     except BrokenPipeError:
         raise
     except OSError as error:
-        # What this program writes to a file is named where it is written (`shake_env.file_writing`).
+        # What this program writes to a file is named where it is written (`shake_env.files`).
         place = error.filename or "standard output, or a file of a library"
         report(f"{place}: {error.strerror or error}", command)
         _drop_output()

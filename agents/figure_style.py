@@ -16,7 +16,7 @@ import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from shake_env.file_writing import write_bytes
+from shake_env.files import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.typing import RcKeyType

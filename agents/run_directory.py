@@ -15,7 +15,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from shake_env.errors import FileError, RunDirectoryError, ShakeError
-from shake_env.file_writing import file_errors, sync_folder, write_json
+from shake_env.files import file_errors, no_file, sync_folder, write_json
 
 CONFIG = "config.json"
 EVALUATIONS = "evaluations.jsonl"
@@ -70,7 +70,7 @@ def read_json(
     """
     try:
         if not path.is_file():
-            raise kind(field, str(path), "there is no such file")
+            raise kind(field, str(path), no_file(path))
         if path.stat().st_size > largest:
             raise kind(field, str(path), f"is larger than {largest} byte")
         value = parse_json(path.read_bytes())
@@ -161,7 +161,7 @@ def _object(line: bytes) -> dict[str, Any] | None:
 
 
 @contextmanager
-def locked(folder: Path, wait: float = 0.0) -> Iterator[None]:
+def locked(folder: Path, wait: float = 0.0, field: str = "run directory") -> Iterator[None]:
     """Hold a folder, which is made if need be, against every other process.
 
     The lock is the operating system's and ends with the process, so that the next one takes over what
@@ -173,6 +173,8 @@ def locked(folder: Path, wait: float = 0.0) -> Iterator[None]:
         A run directory, or the folder of a search.
     wait
         Time to wait for another process to end [s].
+    field
+        Of the error.
 
     Raises
     ------
@@ -188,7 +190,7 @@ def locked(folder: Path, wait: float = 0.0) -> Iterator[None]:
         try:
             lock.acquire(timeout=wait)
         except Timeout:
-            raise RunDirectoryError("run directory", str(folder), _held_by(owner)) from None
+            raise RunDirectoryError(field, str(folder), _held_by(owner)) from None
     try:
         _remove(entry for entry in folder.iterdir() if _PARTIAL.fullmatch(entry.name))
         write_json(
@@ -209,7 +211,7 @@ def _held_by(owner: Path) -> str:
     who = f"process {known.get('pid', 'unknown')} on host {known.get('host', 'unknown')}"
     return (
         f"is in use by {who}, since {known.get('started', 'now')}: wait until it has ended, or end it, "
-        "or name another directory"
+        "or name another"
     )
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from shake_env.errors import ParameterError
-from shake_env.file_writing import write_text
+from shake_env.files import no_file, write_text
 from shake_env.model.parameters import is_number
 
 FORMAT = "shake-tuned-1"
@@ -92,8 +92,8 @@ def read_tuned(file: str | os.PathLike[str]) -> TunedValues:
     """
     path = Path(file)
     try:
-        if path.exists() and not path.is_file():  # a pipe or a device would not end
-            raise ParameterError("tuned", str(file), f"is no regular file: {_REMEDY}")
+        if not path.is_file():  # a pipe or a device would not end
+            raise ParameterError("tuned", str(file), f"{no_file(path)}: {_REMEDY}")
         if path.stat().st_size > LARGEST:
             raise ParameterError("tuned", str(file), f"is larger than {LARGEST} byte: {_REMEDY}")
         text = path.read_text(encoding="utf-8")

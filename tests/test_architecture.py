@@ -47,7 +47,7 @@ ROOMS = """
     shake_env/records
     shake_env/model
     shake_env/numba_support shake_env/controller shake_env/lazy
-    shake_env/file_writing
+    shake_env/files
     shake_env/errors
 """
 LEARNING = {"torch", "stable_baselines3", "sb3_contrib", "tensorboard"}
@@ -188,7 +188,7 @@ def test_what_a_deployed_controller_needs_imports_neither_learning_nor_drawing(e
                 queue.append(each)
 
 
-# Where a file is opened to be written without `file_writing`, and why that is right.
+# Where a file is opened to be written without `files`, and why that is right.
 OTHER_WRITERS = {
     "agents.run_directory": 1,  # a line appended to a file of lines, half a line dropped
     "agents.experiments.runner": 1,  # a process writes its output there while it runs
@@ -221,11 +221,11 @@ def writes(text):
 
 
 def test_files_are_written_in_one_place():
-    """An interruption leaves the old file or the new one, and an error names it: see `file_writing`."""
+    """An interruption leaves the old file or the new one, and an error names it: see `files`."""
     number = {}
     for name, path in sources():
         lines = writes(path.read_text(encoding="utf-8"))
-        if name == "shake_env.file_writing" or not lines:
+        if name == "shake_env.files" or not lines:
             continue
         number[name] = len(lines)
         if name not in OTHER_WRITERS:

@@ -13,7 +13,7 @@ from agents.cli.output_path import require_writable
 from agents.progress import progress_bar
 from agents.reporting.terminal import print_markdown
 from shake_env.errors import ParameterError
-from shake_env.file_writing import write_json
+from shake_env.files import write_json
 from shake_env.scenario.overrides import make_scenario
 from shake_env.scenario.presets import NAMED
 

@@ -14,6 +14,7 @@ from agents.cli.output_path import require_writable
 from agents.progress import progress_bar
 from agents.reporting.terminal import print_table
 from shake_env.errors import ParameterError, ShakeError
+from shake_env.files import no_file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,7 +167,7 @@ class Results(CommandOptions):
         from agents.reporting.terminal import print_markdown
 
         if self.page is not None and not self.page.is_file():
-            raise ParameterError("page", str(self.page), "there is no such file")
+            raise ParameterError("page", str(self.page), no_file(self.page))
         results = read_results(self.results)
         if not results:
             raise ParameterError("results", str(self.results), "holds no evaluation_*.json")

@@ -9,7 +9,7 @@ from typing import Any
 
 from agents.run_directory import described, read_json
 from shake_env.errors import FileError
-from shake_env.file_writing import write_text
+from shake_env.files import write_text
 
 PREFIX = "evaluation_"  # of a result's file name in docs/results
 

@@ -23,7 +23,7 @@ from agents.training.checkpoint import checkpoint_steps, checkpoints
 from agents.training.config import TrainConfig, require_same
 from agents.training.run import finished, require_beginnable
 from shake_env.errors import RunDirectoryError, ScenarioError, unknown
-from shake_env.file_writing import file_errors
+from shake_env.files import file_errors
 
 State = Literal["done", "begun", "waiting", "running", "failed", "foreign"]
 

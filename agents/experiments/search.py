@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import shake_env
-from agents.experiments import recipes
+from agents.experiments import recipes, study_storage
 from agents.experiments.controller_tuning import FAILED
 from agents.experiments.recipes import Recipe
 from agents.experiments.search_objective import Judge, OutOfTimeError, PrunedError, Validation
@@ -40,11 +40,8 @@ from shake_env.errors import (
     PolicyFileError,
     RunDirectoryError,
     ScenarioError,
-    ShakeError,
-    install_hint,
     unknown,
 )
-from shake_env.file_writing import file_errors
 
 UNJUDGED = 5  # trials that no pruner ends: a median of fewer says little
 
@@ -130,16 +127,9 @@ def open_study(search: Search, storage: str | PathLike[str]) -> Any:
         If Optuna is not installed.
     """
     storage = Path(storage)
-    try:
-        import optuna
-    except ImportError:
-        raise ShakeError("optuna", "missing", install_hint("agents")) from None
-    with file_errors(storage):
-        storage.parent.mkdir(parents=True, exist_ok=True)
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    study = optuna.create_study(
-        study_name=search.name, storage=f"sqlite:///{storage}", load_if_exists=True
-    )
+    study = study_storage.open_study(storage, search.name)
+    import optuna
+
     evaluations = trial_config(search.recipe, {}, search.share).evaluations
     study.pruner = optuna.pruners.MedianPruner(
         n_startup_trials=UNJUDGED, n_warmup_steps=max(1, evaluations // 3)
@@ -215,7 +205,19 @@ def search_recipe(
     if minutes is not None and not minutes > 0.0:
         raise ParameterError("minutes", minutes, "must be above 0")
     until = math.inf if minutes is None else time.monotonic() + 60.0 * minutes
-    study, home = open_study(search, storage), folder / search.name
+    with study_storage.storage_errors(storage):
+        return _searched(search, storage, folder / search.name, trials, until, on_update)
+
+
+def _searched(
+    search: Search,
+    storage: Path,
+    home: Path,
+    trials: int,
+    until: float,
+    on_update: Callable[[Standing], None],
+) -> Trace:
+    study = open_study(search, storage)
     if len(_done(study)) >= trials:
         return trace_of(search, study)
     with locked(home):

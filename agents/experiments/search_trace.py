@@ -14,7 +14,7 @@ from agents.experiments.search_space import Choice, Knob, Value, space_json, spa
 from agents.reporting.markdown_blocks import put
 from agents.run_directory import read_json
 from shake_env.errors import ParameterError
-from shake_env.file_writing import write_text
+from shake_env.files import write_text
 
 FORMAT = "shake-recipe-search-1"
 PREFIX = "recipe_"  # of a trace's file name in docs/results

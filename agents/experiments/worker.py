@@ -16,7 +16,7 @@ from agents.run_directory import PROGRESS, parse_json
 from agents.training.config import config_of
 from agents.training.run import go_on
 from shake_env.errors import ShakeError
-from shake_env.file_writing import write_json
+from shake_env.files import write_json
 
 PATIENCE = 120.0  # [s] in which a worker whose campaign was killed comes to its next report and ends
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from agents.policies.policy_file import PolicyFile
 from agents.policies.recurrent_cells import GatedUnit, MemoryUnit
 from shake_env.errors import PolicyFileError, ShakeError, install_hint
-from shake_env.file_writing import write_bytes
+from shake_env.files import write_bytes
 
 OPSET = 17
 IR_VERSION = 8  # of 2022, that goes with this opset: older runtimes read it, too

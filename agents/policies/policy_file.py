@@ -22,7 +22,7 @@ from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.policy_header import check_card, parse_header
 from agents.policies.recurrent_cells import PARTS, UNITS, GatedUnit, MemoryUnit, Weights, rest
 from shake_env.errors import PolicyFileError
-from shake_env.file_writing import write_bytes
+from shake_env.files import no_file, write_bytes
 from shake_env.scenario.limits import OBSERVATION_BOUND
 from shake_env.scenario.scenario import Scenario
 
@@ -210,7 +210,7 @@ def load_policy(path: str | PathLike[str]) -> PolicyFile:
     """
     path = Path(path)
     if not path.is_file():
-        raise PolicyFileError("policy file", str(path), f"there is no such file: {_REMEDY}")
+        raise PolicyFileError("policy file", str(path), f"{no_file(path)}: {_REMEDY}")
     try:
         with safe_open(str(path), framework="np") as file:
             text = (file.metadata() or {}).get("shake", "{}")

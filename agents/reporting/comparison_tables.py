@@ -16,7 +16,7 @@ from agents.evaluation.results import Comparison, GroupSummary
 from agents.figure_style import BLACK, SERIES, figure_style, new_figure, save_figure
 from agents.reporting.csv_file import write_csv
 from agents.reporting.terminal import print_table
-from shake_env.file_writing import write_json
+from shake_env.files import write_json
 from shake_env.simulation.metrics import EpisodeMetrics
 
 WINDOW = 5.0  # [s] shown of the traced earthquake, about its peak

@@ -9,7 +9,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from shake_env.file_writing import write_text
+from shake_env.files import write_text
 
 FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a text that begins so is run by a spreadsheet (OWASP, CSV)
 

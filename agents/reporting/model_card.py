@@ -16,7 +16,7 @@ from agents.reporting.evaluation_tables import interval
 from agents.reporting.robustness_tables import findings, read_robustness
 from agents.scenario_options import given_options
 from shake_env.errors import ParameterError
-from shake_env.file_writing import write_text
+from shake_env.files import write_text
 
 ROWS = (
     ("relative_cost", "cost / {yardstick}", 3, 1.0),

@@ -26,7 +26,7 @@ from agents.reporting.report_data import page_data
 from agents.reporting.report_figures import stills
 from agents.reporting.robustness_figures import figures
 from agents.reporting.robustness_tables import findings, label
-from shake_env.file_writing import write_text
+from shake_env.files import write_text
 
 PLOTLY_FILE = "plotly-basic-4.1.1.min.js.gz"  # plotly.js, basic distribution; MIT, says its first line
 Cell = str

@@ -10,7 +10,7 @@ from typing import Any
 
 from agents.run_directory import read_json
 from shake_env.errors import ParameterError
-from shake_env.file_writing import write_text
+from shake_env.files import write_text
 
 PREFIX = "robustness_"
 MATTERS = (

@@ -12,7 +12,7 @@ from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
 from shake_env.errors import install_hint
-from shake_env.file_writing import replacing
+from shake_env.files import replacing
 
 Frames = Iterator[NDArray[np.uint8]]
 

@@ -22,7 +22,7 @@ from agents.evaluation.perturbations import view_of
 from agents.studies.hostile_controllers import Hostile
 from baselines.batch_controllers import Rescaled
 from shake_env.controller import Controller, decide
-from shake_env.file_writing import write_json
+from shake_env.files import write_json
 from shake_env.safety.supervisor import Supervised
 from shake_env.scenario.limits import REASONS
 from shake_env.scenario.observation import ObservationLayout

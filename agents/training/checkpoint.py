@@ -42,7 +42,7 @@ from agents.training.plain_state import (
     whole_number,
 )
 from shake_env.errors import RunDirectoryError
-from shake_env.file_writing import file_errors, write_bytes
+from shake_env.files import file_errors, write_bytes
 
 FORMAT = "shake-checkpoint-1"
 KEPT = 2  # newest checkpoints that stay

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from stable_baselines3.common.logger import Logger, configure
 
-from shake_env.file_writing import file_errors
+from shake_env.files import file_errors
 
 
 @contextmanager

@@ -54,7 +54,7 @@ from agents.training.warm_start import begin_with, first_file
 from baselines.lqr.oracle import clairvoyant
 from baselines.lqr.sampled import lqr
 from shake_env.errors import RunDirectoryError
-from shake_env.file_writing import file_errors, replacing, write_json
+from shake_env.files import file_errors, replacing, write_json
 from shake_env.motion.targets import FilteredNoise, MotionSet
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario.scenario import Scenario

@@ -12,6 +12,8 @@ import pytest
 
 from agents.evaluation import benchmark as bench
 from agents.evaluation import result_files
+from agents.policies.policy_file import load_policy
+from agents.reporting.markdown_blocks import put
 from agents.run_directory import (
     BEST,
     CONFIG,
@@ -28,8 +30,10 @@ from agents.run_directory import (
     read_rows,
 )
 from agents.training.config import TrainConfig, read_config
-from shake_env.errors import FileError, RunDirectoryError
-from shake_env.file_writing import replacing, write_json
+from baselines.tuned_values import read_tuned
+from shake_env.errors import FileError, RunDirectoryError, ShakeError
+from shake_env.files import replacing, write_json
+from shake_env.scenario.scenario_file import read_scenario
 
 
 def test_a_file_is_replaced_whole_or_not_at_all(tmp_path):
@@ -172,13 +176,34 @@ def test_what_is_no_json_object_is_refused_in_one_sentence(tmp_path, text, reaso
 def test_only_regular_files_of_sane_size_are_read(tmp_path):
     os.mkfifo(tmp_path / "fifo")
     for path in (tmp_path, tmp_path / "fifo", tmp_path / "absent"):
-        with pytest.raises(FileError, match="no such file"):
+        with pytest.raises(FileError, match=r"no such file|is a"):
             read_json(path)
     write_json(tmp_path / "a", list(range(100)))
     with pytest.raises(FileError, match="larger than 100 byte"):
         read_json(tmp_path / "a", largest=100)
     with pytest.raises(ValueError, match="nested too deeply"):
         parse_json('{"a":' * 100_000)
+
+
+def test_what_is_no_regular_file_is_called_what_it_is(tmp_path):
+    """At every door: a result, a policy, a scenario file, tuned values, a page."""
+    os.mkfifo(tmp_path / "fifo")
+    doors = (read_json, load_policy, read_scenario, read_tuned, lambda path: put(path, "a", "b"))
+    for path, words in (
+        (tmp_path, "is a folder"),
+        (tmp_path / "fifo", "is a pipe or a device"),
+        (tmp_path / "absent", "there is no such file"),
+    ):
+        for read in doors:
+            with pytest.raises(ShakeError, match=words):
+                read(path)
+
+
+def test_a_strangers_configuration_is_refused_with_what_lies_beside_it(tmp_path):
+    write_json(tmp_path / CONFIG, {})
+    (tmp_path / "thesis.tex").write_text("")
+    with pytest.raises(RunDirectoryError, match=r"beside it lies: thesis\.tex"):
+        read_config(tmp_path)
 
 
 @pytest.mark.parametrize(

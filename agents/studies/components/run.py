@@ -29,7 +29,7 @@ from agents.studies.components.figures import (
     valve_figure,
     yielding_figure,
 )
-from shake_env.file_writing import write_text
+from shake_env.files import write_text
 from shake_env.model.nonlinearity import Friction
 
 

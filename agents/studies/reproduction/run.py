@@ -17,7 +17,7 @@ from agents.reporting.csv_file import write_csv
 from agents.studies.reproduction import figures as figures
 from agents.studies.reproduction import tables as tables
 from agents.studies.reproduction.tables import MASS_RATIOS, MODELS, STORIES, WEIGHTS
-from shake_env.file_writing import write_text
+from shake_env.files import write_text
 
 DESIGN_WITHOUT_SPECIMEN = 1e-3  # mu of a design that takes the table as empty but keeps every weight
 UNAWARE_MASS_RATIOS = (0.1, 0.2, 0.5, 1.0, 2.0)

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from agents.reporting.csv_file import write_csv
 from agents.reporting.terminal import print_table
-from shake_env.file_writing import write_text
+from shake_env.files import write_text
 
 Rows = list[list[str]]
 

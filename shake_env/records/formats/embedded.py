@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from shake_env.errors import RecordError
-from shake_env.file_writing import write_text
+from shake_env.files import write_text
 from shake_env.model.parameters import GRAVITY, FloatArray
 from shake_env.records.record import Record
 from shake_env.records.text.source import SourceText, number

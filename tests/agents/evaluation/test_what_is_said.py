@@ -2,16 +2,20 @@
 
 import json
 import re
+from dataclasses import replace
 
 import pytest
 
 from agents.__main__ import main
-from agents.evaluation.comparison import compare
+from agents.evaluation.comparison import compare, repeats
 from agents.evaluation.results import cost_text
 from agents.reporting.benchmark_tables import markdown
 from agents.reporting.comparison_tables import print_tables
 from shake_env import make_scenario
 from shake_env.errors import ScenarioError
+from shake_env.motion.targets import RecordedMotion
+from shake_env.records import load_record
+from shake_env.rollout import Earthquake
 from shake_env.scenario.scenario_file import scenario_fields
 
 SHORT = make_scenario("linear", {"duration": 0.4})
@@ -41,6 +45,20 @@ def test_one_earthquake_has_no_interval(capsys):
     assert row.cost_text() == f"{row.relative_cost:.3f}" or "[" not in row.cost_text()
     many = compare(SHORT, ["none"], noise=3, records=False)
     assert "[" in next(s for s in many.summaries if s.controller == "none").cost_text()
+
+
+def test_copies_of_a_record_are_one_and_named():
+    record = load_record("napa2014_68150_hne")
+    motions = [
+        Earthquake(name, RecordedMotion(record=replace(record, name=name), duration=0.4))
+        for name in "ab"
+    ]
+    found = compare(SHORT, ["none"], motions=motions, noise=0, records=False)
+    row = next(s for s in found.summaries if s.controller == "none")
+    assert "[" not in row.cost_text() and row.earthquakes == 2
+    (note,) = found.warnings
+    assert "of 2 recorded motions 1 are distinct (b repeats a)" in note
+    assert not repeats([*motions[:1], Earthquake("c", replace(motions[1].motion, amplitude=2.0))])
 
 
 def test_costs_are_written_with_or_without_their_interval():

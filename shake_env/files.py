@@ -85,6 +85,15 @@ def write_json(path: Path, value: Any, indent: int | None = 2) -> None:
     write_text(path, json.dumps(value, indent=indent) + "\n")
 
 
+def no_file(path: Path) -> str:
+    """Return in words what stands at a path at which no regular file does."""
+    if path.is_dir():
+        return "is a folder: name a file in it"
+    if path.exists():
+        return "is a pipe or a device: give a regular file"
+    return "there is no such file"
+
+
 def sync_folder(folder: Path) -> None:
     """Bring the names in a folder to the disk, where the file system can."""
     if sys.platform == "win32":
