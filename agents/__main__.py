@@ -35,9 +35,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with renamings_as_lines():
             return run_words(words)
     except BrokenPipeError:  # whoever reads has enough, such as head
-        with contextlib.suppress(OSError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return BROKEN_PIPE
+    except OSError as error:  # a command's own are reported below
+        report(f"standard output: {error.strerror or error}", None)
+        _drop_output()
+        return MISTAKE
+
+
+def _drop_output() -> None:
+    """Let what is still to be printed go nowhere, so that the interpreter's end does not fail on it."""
+    with contextlib.suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 @contextlib.contextmanager
@@ -82,8 +91,10 @@ def run_words(words: Sequence[str]) -> int:
     except BrokenPipeError:
         raise
     except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
-        report(f"{place}{error.strerror or error}", command)
+        # What this program writes to a file is named where it is written (`shake_env.files`).
+        place = error.filename or "standard output, or a file of a library"
+        report(f"{place}: {error.strerror or error}", command)
+        _drop_output()
     except KeyboardInterrupt:
         print("shake: interrupted", file=sys.stderr)
         if command is not None and command.after_interruption is not None:

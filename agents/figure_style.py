@@ -5,6 +5,7 @@ Colours are Okabe and Ito's. Lines also differ by dash and by lightness, so that
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
@@ -17,6 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from shake_env.files import write_bytes
 from shake_env.simulation.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -148,6 +150,20 @@ def save_figure(figure: Figure, folder: str | PathLike[str], name: str) -> list[
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # laid out once, not again for each format
     paths = [folder / f"{name}.png", folder / f"{name}.svg"]
-    figure.savefig(paths[0], metadata={"Software": None})
-    figure.savefig(paths[1], metadata={"Date": None})
+    for path in paths:
+        write_figure(figure, path)
     return paths
+
+
+def write_figure(figure: Figure, path: Path) -> None:
+    """Write `figure` as PNG or SVG, as the file's ending says; the same figure has the same bytes.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written.
+    """
+    kind = path.suffix.removeprefix(".")
+    image = io.BytesIO()
+    figure.savefig(image, format=kind, metadata={"Date" if kind == "svg" else "Software": None})
+    write_bytes(path, image.getvalue())

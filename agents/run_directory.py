@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import re
 import socket
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -17,6 +15,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from shake_env.errors import FileError, RunDirectoryError, ShakeError
+from shake_env.files import file_errors, no_file, sync_folder, write_json
 
 CONFIG = "config.json"
 EVALUATIONS = "evaluations.jsonl"
@@ -30,60 +29,6 @@ LOCK, OWNER = ".lock", ".owner.json"
 
 LARGEST_JSON = 256 * 2**20  # [byte] a larger file is none of this program's
 _PARTIAL = re.compile(r"\..+\.\d+\.partial")  # name of a file that is not complete
-_REMEDIES = {
-    errno.ENOSPC: "the disk is full: free some space, then give the same command again",
-    errno.EDQUOT: "the quota is used up: free some space, then give the same command again",
-    errno.EROFS: "the file system is read-only: give a folder that can be written",
-    errno.EACCES: "no permission: give a folder that can be written",
-    errno.EPERM: "no permission: give a folder that can be written",
-}
-
-
-@contextmanager
-def file_errors(path: Path) -> Iterator[None]:
-    """Turn an `OSError` into a `FileError` that names the file; `path` where the error names none."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno is None:  # none of the operating system: a library's own
-            raise
-        remedy = _REMEDIES.get(error.errno, f"{error.strerror}: give another path")
-        raise FileError("file", os.fspath(error.filename or path), remedy) from error
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Give the path of a new file that takes the place of `path` once it is complete and on the disk.
-
-    Folders on the way are made. Readers see the old file or the new one, whatever is interrupted.
-
-    Raises
-    ------
-    FileError
-        If the folder cannot be written, or the disk is full.
-    """
-    with file_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-        try:
-            yield partial
-            with partial.open("rb+") as file:
-                os.fsync(file.fileno())
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
-        _sync_folder(path.parent)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Replace a file by one with this text, as :func:`replacing` does."""
-    with replacing(path) as partial:
-        partial.write_text(text, encoding="utf-8", newline="\n")
-
-
-def write_json(path: Path, value: Any, indent: int | None = 2) -> None:
-    """Replace a file by one with this value as JSON, as :func:`replacing` does."""
-    write_text(path, json.dumps(value, indent=indent) + "\n")
 
 
 def parse_json(text: str | bytes) -> Any:
@@ -125,7 +70,7 @@ def read_json(
     """
     try:
         if not path.is_file():
-            raise kind(field, str(path), "there is no such file")
+            raise kind(field, str(path), no_file(path))
         if path.stat().st_size > largest:
             raise kind(field, str(path), f"is larger than {largest} byte")
         value = parse_json(path.read_bytes())
@@ -216,7 +161,7 @@ def _object(line: bytes) -> dict[str, Any] | None:
 
 
 @contextmanager
-def locked(folder: Path, wait: float = 0.0) -> Iterator[None]:
+def locked(folder: Path, wait: float = 0.0, field: str = "run directory") -> Iterator[None]:
     """Hold a folder, which is made if need be, against every other process.
 
     The lock is the operating system's and ends with the process, so that the next one takes over what
@@ -228,6 +173,8 @@ def locked(folder: Path, wait: float = 0.0) -> Iterator[None]:
         A run directory, or the folder of a search.
     wait
         Time to wait for another process to end [s].
+    field
+        Of the error.
 
     Raises
     ------
@@ -243,7 +190,7 @@ def locked(folder: Path, wait: float = 0.0) -> Iterator[None]:
         try:
             lock.acquire(timeout=wait)
         except Timeout:
-            raise RunDirectoryError("run directory", str(folder), _held_by(owner)) from None
+            raise RunDirectoryError(field, str(folder), _held_by(owner)) from None
     try:
         _remove(entry for entry in folder.iterdir() if _PARTIAL.fullmatch(entry.name))
         write_json(
@@ -264,7 +211,7 @@ def _held_by(owner: Path) -> str:
     who = f"process {known.get('pid', 'unknown')} on host {known.get('host', 'unknown')}"
     return (
         f"is in use by {who}, since {known.get('started', 'now')}: wait until it has ended, or end it, "
-        "or name another directory"
+        "or name another"
     )
 
 
@@ -308,7 +255,7 @@ def create(run: Path, fill: Callable[[Path], None]) -> None:
             _remove(partial.iterdir())
             partial.rmdir()
             raise
-        _sync_folder(run.parent)
+        sync_folder(run.parent)
 
 
 def forget_attempt(run: Path) -> None:
@@ -330,18 +277,6 @@ def _remove(files: Iterable[Path]) -> None:
     for file in files:
         if file.is_file() or file.is_symlink():
             file.unlink(missing_ok=True)
-
-
-def _sync_folder(folder: Path) -> None:
-    if sys.platform == "win32":
-        return  # folders cannot be opened there
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    except OSError:  # some network file systems have no such thing
-        pass
-    finally:
-        os.close(descriptor)
 
 
 def learning_curve(controller: str) -> list[tuple[int, float]]:

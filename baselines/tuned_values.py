@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from shake_env.errors import ParameterError
+from shake_env.files import no_file, write_text
 from shake_env.model.parameters import is_number
 from shake_env.renamed import CONTROLLERS, TUNABLES, renamed, renamed_keys
 
@@ -92,8 +93,8 @@ def read_tuned(file: str | os.PathLike[str]) -> TunedValues:
     """
     path = Path(file)
     try:
-        if path.exists() and not path.is_file():  # a pipe or a device would not end
-            raise ParameterError("tuned", str(file), f"is no regular file: {_REMEDY}")
+        if not path.is_file():  # a pipe or a device would not end
+            raise ParameterError("tuned", str(file), f"{no_file(path)}: {_REMEDY}")
         if path.stat().st_size > LARGEST:
             raise ParameterError("tuned", str(file), f"is larger than {LARGEST} byte: {_REMEDY}")
         text = path.read_text(encoding="utf-8")
@@ -141,10 +142,7 @@ def write_tuned(values: TunedValues, file: str | PathLike[str]) -> None:
     """Write a file of tuned values; a reader never sees half of it."""
     file = Path(file)
     plain = {"format": FORMAT, "entries": [entry.to_json() for entry in values.entries]}
-    file.parent.mkdir(parents=True, exist_ok=True)
-    partial = file.with_suffix(".partial")
-    partial.write_text(json.dumps(plain, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-    partial.replace(file)
+    write_text(file, json.dumps(plain, indent=1, sort_keys=True) + "\n")
 
 
 @lru_cache(maxsize=1)

@@ -1,6 +1,7 @@
 """Who may import whom: downwards between rooms, no circle, nothing that a room may not need."""
 
 import ast
+import re
 import sys
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -46,6 +47,7 @@ ROOMS = """
     shake_env/records
     shake_env/model
     shake_env/numba_support shake_env/controller shake_env/lazy
+    shake_env/files
     shake_env/errors
 """
 LEARNING = {"torch", "stable_baselines3", "sb3_contrib", "tensorboard"}
@@ -202,6 +204,69 @@ def test_studies_stand_apart_from_all_but_their_commands():
     assert users_of_studies(texts) == commands
     wrong = {"agents.motions.figure": "def f():\n    from agents.studies.validation import run"}
     assert users_of_studies(wrong) == set(wrong)
+
+
+# Where a file is opened to be written without `files`, and why that is right.
+OTHER_WRITERS = {
+    "agents.run_directory": 1,  # a line appended to a file of lines, half a line dropped
+    "agents.experiments.runner": 1,  # a process writes its output there while it runs
+    "agents.cli.output_path": 1,  # opened to find out whether it can be written; nothing is
+}
+
+
+def writes(text):
+    """Calls of a source that write a file: by a method, or by ``open`` with a mode that does."""
+    lines = []
+    for node in ast.walk(ast.parse(text)):
+        if not isinstance(node, ast.Call):
+            continue
+        name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+        owner = getattr(getattr(node.func, "value", None), "id", None)
+        texts = [a.value for a in node.args if isinstance(a, ast.Constant) and isinstance(a.value, str)]
+        if name == "open" and owner != "os":
+            modes = [each for each in texts if re.fullmatch(r"[rwaxbt+]{1,4}", each)]
+            modes += [k.value.value for k in node.keywords if k.arg == "mode"]
+            wrong = any(set(mode) & set("wax+") for mode in modes)
+        elif name in ("write_text", "write_bytes"):
+            wrong = isinstance(node.func, ast.Attribute)  # a path's method
+        else:
+            wrong = name in ("savefig", "savez", "savetxt", "save_file", "to_csv", "tofile")
+            wrong |= name == "save" and owner in ("np", "torch")
+            wrong |= name == "dump" and owner in ("json", "pickle")
+        if wrong:
+            lines.append((node.lineno, name))
+    return lines
+
+
+def test_files_are_written_in_one_place():
+    """An interruption leaves the old file or the new one, and an error names it: see `files`."""
+    number = {}
+    for name, path in sources():
+        lines = writes(path.read_text(encoding="utf-8"))
+        if name == "shake_env.files" or not lines:
+            continue
+        number[name] = len(lines)
+        if name not in OTHER_WRITERS:
+            in_memory = path.read_text(encoding="utf-8").count("savefig(image,")
+            assert [each for _, each in lines] == ["savefig"] * in_memory, f"{name}: {lines}"
+    assert OTHER_WRITERS.items() <= number.items()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "path.write_text(x)",
+        "open(path, 'w')",
+        "path.open('ab+')",
+        "path.open(mode='x')",
+        "figure.savefig(path)",
+        "np.save(path, x)",
+        "json.dump(x, file)",
+    ],
+)
+def test_the_rule_sees_another_writer(text):
+    assert writes(text)
+    assert not writes("write_text(path, x), path.open('rb'), json.dumps(x), tarfile.open(name)")
 
 
 def test_a_folder_has_at_most_twenty_files():

@@ -163,6 +163,24 @@ def test_the_field_table_says_a_unit_for_nearly_every_number(generator):
     assert {name.strip("| `") for name in silent} <= {"nonlinearity.valve.dead_band", "sensing.history"}
 
 
+@pytest.mark.parametrize("name", ["scenarios", "columns", "controllers"])
+def test_no_meaning_is_empty(name):
+    """The last column of a generated table: a field's comment, a column's or a controller's words."""
+    rows = [line for line in page(name).splitlines() if line.startswith("| `")]
+    last = "tuned" if name == "controllers" else ""  # nothing is tuned for some
+    heading = ""
+    for line in page(name).splitlines():
+        if line.startswith("| ") and not line.startswith("| `") and "---" not in line:
+            heading = line
+        if line.startswith("| `") and not (last and heading.endswith(f"{last} |")):
+            assert not re.search(r"\|\s*\|$", line), line
+    assert len(rows) > 15
+
+
+def page(name):
+    return (DOCS / "reference" / f"{name}.md").read_text(encoding="utf-8")
+
+
 # Commands
 
 

@@ -12,8 +12,9 @@ from agents.cli.command_options import CommandOptions, print_notes, tuned_values
 from agents.cli.output_path import require_writable
 from agents.progress import progress_bar
 from agents.reporting.terminal import print_markdown
-from agents.run_directory import write_json
-from shake_env.errors import ParameterError, ScenarioError, unknown
+from shake_env.errors import ParameterError
+from shake_env.files import write_json
+from shake_env.scenario.overrides import make_scenario
 from shake_env.scenario.presets import NAMED
 
 
@@ -31,7 +32,8 @@ class Benchmark(CommandOptions):
     """
 
     scenarios: tuple[str, ...] = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
-    """Named scenarios."""
+    """Names of scenarios, or files that shake show-scenario wrote; the result of mine.json is
+    bench_mine.json. The page shows named ones alone."""
     controllers: tuple[str, ...] = ("oracle", "all")
     """Names as shake compare takes them; all: every classical controller that suits the scenario."""
     earthquakes: int = 200
@@ -47,7 +49,7 @@ class Benchmark(CommandOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Run what is not done, and say where it lies."""
-        from agents.evaluation.benchmark import read_results, result_file
+        from agents.evaluation.benchmark import label, read_results, result_file
         from agents.evaluation.controller_set import require_names
         from agents.reporting.benchmark_tables import markdown, put_tables
 
@@ -55,6 +57,10 @@ class Benchmark(CommandOptions):
         if not self.scenarios:
             raise ParameterError("scenarios", "none", f"name at least one of {', '.join(NAMED)}")
         require_writable(self.results, "results")
+        labels = [label(name) for name in self.scenarios]
+        if len({*labels}) < len(labels):
+            remedy = "two results would have one name: rename a file, or name each scenario once"
+            raise ParameterError("scenarios", self.scenarios, remedy)
         known = {name: self._known(name) for name in self.scenarios}  # before hours are spent
         results = {}
         for name in self.scenarios:
@@ -65,7 +71,6 @@ class Benchmark(CommandOptions):
                 console.print(
                     f"{name}: read from {file}, made before with {number} earthquakes by version "
                     f"{result['version']} (--rerun runs it anew)",
-                    soft_wrap=True,
                 )
             else:
                 result = self._run(name)
@@ -85,7 +90,7 @@ class Benchmark(CommandOptions):
         Raises
         ------
         ScenarioError
-            If there is no such scenario.
+            If there is no such scenario, or a scenario file is none.
         FileError
             If its file is no complete result.
         ParameterError
@@ -93,8 +98,7 @@ class Benchmark(CommandOptions):
         """
         from agents.evaluation.benchmark import difference, read_result, result_file
 
-        if name not in NAMED:
-            raise unknown(ScenarioError, "scenario", name, NAMED)
+        make_scenario(name)  # before anything is run
         file = result_file(self.results, name)
         if self.rerun or not file.exists():
             return None

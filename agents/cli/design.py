@@ -56,7 +56,6 @@ def print_design(result: dict[str, Any], scenario: Scenario, console: Console) -
         f"{scenario.name}: {scenario.specimen.stories} storeys, controlled at "
         f"{scenario.control_rate:g} Hz; natural frequencies [Hz] {frequencies}",
         highlight=False,
-        soft_wrap=True,
     )
     number = result["earthquakes"]
     how = "by analysis" if number is None else f"simulated, mean of {number} earthquakes"
@@ -66,14 +65,14 @@ def print_design(result: dict[str, Any], scenario: Scenario, console: Console) -
     if number is not None:
         heading = f"Bound: full-state {result['bound']['controller']} ({PROBLEM}), by analysis:"
         _print_figures(heading, result["bound"], console)
-        console.print(describe_values(result["values"]), highlight=False, soft_wrap=True)
+        console.print(describe_values(result["values"]), highlight=False)
     rows = [(name, f"{gain:.6g}") for name, gain in zip(result["states"], result["gain"], strict=True)]
     title = "gain of the full-state LQR: u = -sum of gain x state"
     print_table(console, ("state", "gain [A per unit]"), rows, title=title)
 
 
 def _print_figures(heading: str, figures: dict[str, Any], console: Console) -> None:
-    console.print(heading, highlight=False, soft_wrap=True)
+    console.print(heading, highlight=False)
     if "cost" in figures:
         console.print(f"  expected stage cost               {figures['cost']:.6g}")
     console.print(f"  acceleration error, rms / target  {100 * figures['acceleration_rms_ratio']:.2f} %")

@@ -14,6 +14,7 @@ from agents.cli.output_path import require_writable
 from agents.progress import progress_bar
 from agents.reporting.terminal import print_table
 from shake_env.errors import ParameterError, ShakeError
+from shake_env.files import no_file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,15 +164,17 @@ class UpdateDocs(CommandOptions):
         """Print the tables; or write the page, and say what has no place on it."""
         from agents.evaluation.result_files import read_results
         from agents.reporting.evaluation_tables import markdown, put_tables
+        from agents.reporting.terminal import print_markdown
 
         if self.page is not None and not self.page.is_file():
-            raise ParameterError("page", str(self.page), "there is no such file")
+            raise ParameterError("page", str(self.page), no_file(self.page))
         results = read_results(self.results)
         if not results:
             raise ParameterError("results", str(self.results), "holds no evaluation_*.json")
         if self.page is None:
             for name, result in results.items():
-                console.print(f"{name}\n\n{markdown(result)}", highlight=False, soft_wrap=True)
+                console.print(f"{name}\n", highlight=False)
+                print_markdown(console, markdown(result))
             return {"page": None, "tables": list(results), "without_place": []}
         missing = put_tables(self.page, results)
         console.print(

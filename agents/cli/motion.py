@@ -99,10 +99,12 @@ def print_channels(
     motion = found[0].by_amplitude.motion
     limited = math.isfinite(capacity.acceleration)
     acceleration = f", {capacity.acceleration:.3g} m/s²" if limited else ""
-    upper = f"{motion.lowpass_frequency:g}" if motion.lowpass_frequency else "any"
+    band = f"above {motion.highpass_frequency or 0.0:g} Hz"
+    if motion.lowpass_frequency:
+        band = f"from {motion.highpass_frequency or 0.0:g} to {motion.lowpass_frequency:g} Hz"
     console.print(
         "Peak, Arias intensity and duration: of the samples in the file. Amplitude or time: either "
-        f"factor brings it, in the band of {motion.highpass_frequency or 0.0:g} to {upper} Hz, within "
+        f"factor brings it, {band}, within "
         f"{1e3 * capacity.displacement:.3g} mm, {capacity.velocity:.3g} m/s{acceleration} and "
         f"{1e-3 * capacity.force:.3g} kN on {capacity.moving_mass:.4g} kg; 1 where it fits as it is."
     )

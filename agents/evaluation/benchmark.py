@@ -21,6 +21,7 @@ from baselines.tuned_values import TunedValues
 from shake_env import make_scenario
 from shake_env.errors import FileError, ParameterError
 from shake_env.model.parameters import is_number
+from shake_env.scenario.scenario_file import scenario_fields
 
 SCENARIOS = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
 CONTROLLERS = (ORACLE, ALL)
@@ -38,7 +39,7 @@ def run_benchmark(
     Parameters
     ----------
     scenario_name
-        A named scenario.
+        A named scenario, or a scenario file.
     earthquakes
         Number of filtered-noise earthquakes; `records` are run on the six records instead.
     names
@@ -62,7 +63,8 @@ def run_benchmark(
         on_progress=on_progress,
     )
     return {
-        "scenario": scenario_name,
+        "scenario": label(scenario_name),
+        "fields": _file_fields(scenario_name),
         "version": shake_env.__version__,
         "machine": machine(),
         "seed": None if recorded else TEST_SEED,
@@ -81,10 +83,20 @@ def ranked(found: Comparison) -> list[GroupSummary]:
     return sorted(found.summaries, key=lambda row: (ends.get(row.controller, 0), row.relative_cost))
 
 
+def label(scenario_name: str) -> str:
+    """Return what a scenario's result is called: its name, or that of its file without the ending."""
+    return Path(scenario_name).stem if scenario_name.endswith(".json") else scenario_name
+
+
+def _file_fields(scenario_name: str) -> dict[str, Any] | None:
+    """Return every field of a scenario from a file; None of a named one, which its name stands for."""
+    return scenario_fields(make_scenario(scenario_name)) if scenario_name.endswith(".json") else None
+
+
 def result_file(folder: str | PathLike[str], scenario_name: str) -> Path:
     """Return the file of a scenario's result."""
     folder = Path(folder)
-    return folder / f"bench_{scenario_name}.json"
+    return folder / f"bench_{label(scenario_name)}.json"
 
 
 def read_result(file: str | PathLike[str]) -> dict[str, Any]:
@@ -148,7 +160,7 @@ def difference(
     known
         A result of `run_benchmark`.
     scenario_name
-        The scenario that is asked for.
+        The scenario that is asked for, or its file.
     asked
         Number of earthquakes.
     names
@@ -157,8 +169,10 @@ def difference(
         File of tuned values that is named.
     """
     number = known["rows"][0]["earthquakes"]
-    if known["scenario"] != scenario_name:
-        return f"is of {known['scenario']}, not {scenario_name}"
+    if known["scenario"] != label(scenario_name):
+        return f"is of {known['scenario']}, not {label(scenario_name)}"
+    if known.get("fields") != _file_fields(scenario_name):
+        return f"is of another scenario that is called {label(scenario_name)}, too"
     if known["seed"] is not None and number != asked:
         return f"was made with {number} earthquakes, not {asked}"
     before = known.get("controllers", list(CONTROLLERS))

@@ -150,8 +150,11 @@ def _ratio(cost: NDArray[np.float64], base: NDArray[np.float64], axis: int = -1)
 
 
 def _interval(cost: NDArray[np.float64], base: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the 95 % percentile-bootstrap interval of the cost ratio; NaN of one earthquake."""
-    if len(cost) < 2:
+    """Return the 95 % percentile-bootstrap interval of the cost ratio; NaN of one earthquake.
+
+    Copies of one earthquake are one: their costs have no spread to draw from.
+    """
+    if len(np.unique(np.stack([cost, base]), axis=1).T) < 2:
         return float("nan"), float("nan")
     if np.array_equal(cost, base):
         return 1.0, 1.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,12 @@ from agents.evaluation.fidelity import Fidelity, fidelity
 from agents.evaluation.latency import decision_time
 from agents.evaluation.results import Comparison, GroupSummary
 from agents.policies.registry import ORACLE, find_controller, get_driven
+from agents.run_directory import described
 from agents.seeds import COMPARISON_SEED
 from baselines.iterative.drive_file import DriveFile
 from baselines.tuned_values import TunedValues
 from shake_env.errors import ParameterError
+from shake_env.motion.targets import RecordedMotion
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
 from shake_env.safety.supervisor import Supervised
 from shake_env.scenario.scenario import Scenario
@@ -144,8 +147,31 @@ def compare(
     of_each = [group for group, members in groups.items() for _ in members]
     return Comparison(
         summaries, episodes, fidelities, traces, reference, name, chosen.skipped, shares, of_each,
-        chosen.values, chosen.warnings,
+        chosen.values, [*chosen.warnings, *repeats(earthquakes)],
     )  # fmt: skip
+
+
+def repeats(earthquakes: Sequence[Earthquake]) -> list[str]:
+    """Return a sentence that names the recorded motions which repeat another one; empty: none does."""
+    first: dict[Any, str] = {}
+    copies = []
+    for quake in earthquakes:
+        motion = quake.motion
+        if not isinstance(motion, RecordedMotion):
+            continue
+        record = motion.source
+        options = [getattr(motion, f.name) for f in fields(motion) if f.name != "record"]
+        key = (record.digest, record.sampling_interval, *options)
+        if key in first:
+            copies.append(f"{quake.name} repeats {first[key]}")
+        first.setdefault(key, quake.name)
+    if not copies:
+        return []
+    number = len(first) + len(copies)
+    return [
+        f"of {number} recorded motions {len(first)} are distinct ({described(copies)}): "
+        "copies count in means and make intervals too narrow"
+    ]
 
 
 def _strongest(recorded: Sequence[Earthquake]) -> int:

@@ -7,8 +7,9 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from agents.run_directory import described, read_json, write_text
+from agents.run_directory import described, read_json
 from shake_env.errors import FileError
+from shake_env.files import write_text
 from shake_env.renamed import RESULT_KEYS
 
 PREFIX = "evaluation_"  # of a result's file name in docs/results

@@ -7,6 +7,7 @@ in SQLite: a search that was interrupted goes on where it stopped. The first tri
 from __future__ import annotations
 
 import math
+import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,8 +18,9 @@ from typing import Any
 import numpy as np
 
 import shake_env
+from agents.experiments.study_storage import open_study, storage_errors
 from agents.policies.own_controller import is_own_controller, own_baseline, own_source
-from agents.run_directory import file_errors
+from agents.run_directory import locked
 from agents.seeds import VALIDATION_SEED
 from baselines.catalogue import Baseline, Tunable
 from baselines.registry import baseline_of, parameter_values
@@ -124,7 +126,11 @@ def tune(
     parts = (scenario, tunable, own_source(name)) if is_own_controller(name) else (scenario, tunable)
     identity = zlib.crc32(repr(parts).encode())
     study = f"{scenario.name}/{name}/{seed}/{earthquakes}/{identity:08x}"
-    found = search(cost, tunable, storage, study, total, seed, on_trial, starts)
+    # Two processes would both try the starts, and draw the same trials.
+    storage = Path(storage)
+    home = storage.with_name(f"{storage.stem}-locks") / re.sub(r"[^\w.-]+", "_", study)
+    with locked(home, field="study"), storage_errors(storage):
+        found = search(cost, tunable, storage, study, total, seed, on_trial, starts)
     return TuningResult(
         name, scenario.name, scenario_digest(scenario), found.parameters, found.cost,
         found.default_cost, found.trials, found.trials * steps, earthquakes, seed,
@@ -233,12 +239,7 @@ def search(
         each: optuna.distributions.FloatDistribution(t.low, t.high, log=t.logarithmic)
         for each, t in tunable.items()
     }
-    with file_errors(storage):
-        storage.parent.mkdir(parents=True, exist_ok=True)
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    study = optuna.create_study(
-        study_name=study_name, storage=f"sqlite:///{storage}", load_if_exists=True
-    )
+    study = open_study(storage, study_name)
     done = _finished(study)
     # A resumed search draws from a seed of its own, or it would repeat its first trials.
     study.sampler = optuna.samplers.TPESampler(seed=seed + 1000 * done, multivariate=True)

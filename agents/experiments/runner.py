@@ -18,11 +18,12 @@ from typing import Any, Literal
 from agents.experiments.catalogue import ExperimentConfig
 from agents.plain_values import typed
 from agents.progress import Progress
-from agents.run_directory import CONFIG, PROGRESS, file_errors, read_json
+from agents.run_directory import CONFIG, PROGRESS, read_json
 from agents.training.checkpoint import checkpoint_steps, checkpoints
 from agents.training.config import TrainConfig, require_same
 from agents.training.run import finished, require_beginnable
 from shake_env.errors import RunDirectoryError, ScenarioError, unknown
+from shake_env.files import file_errors
 
 State = Literal["done", "begun", "waiting", "running", "failed", "foreign"]
 
@@ -132,7 +133,7 @@ class Campaign:
         command = f"shake run-experiments --experiments {task.experiment.name}"
         one = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
         paths = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
-        with _log(task).open("wb") as log:
+        with file_errors(_log(task)), _log(task).open("wb") as log:
             process = subprocess.Popen(
                 [sys.executable, "-m", "agents.experiments.worker", str(task.run), command],
                 stdin=subprocess.PIPE,

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import shake_env
-from agents.experiments import catalogue
+from agents.experiments import catalogue, study_storage
 from agents.experiments.catalogue import ExperimentConfig
 from agents.experiments.controller_tuning import FAILED
 from agents.experiments.search_objective import (
@@ -33,7 +33,7 @@ from agents.experiments.search_trace import Trace, TrialRow
 from agents.policies.policy_file import load_policy
 from agents.progress import Progress
 from agents.provenance import code_version, machine
-from agents.run_directory import POLICY, file_errors, locked
+from agents.run_directory import POLICY, locked
 from agents.seeds import VALIDATION_SEED
 from agents.training.checkpoint import delete_checkpoints
 from agents.training.config import config_of
@@ -43,8 +43,6 @@ from shake_env.errors import (
     PolicyFileError,
     RunDirectoryError,
     ScenarioError,
-    ShakeError,
-    install_hint,
     unknown,
 )
 
@@ -132,16 +130,9 @@ def open_study(search: Search, storage: str | PathLike[str]) -> Any:
         If Optuna is not installed.
     """
     storage = Path(storage)
-    try:
-        import optuna
-    except ImportError:
-        raise ShakeError("optuna", "missing", install_hint("agents")) from None
-    with file_errors(storage):
-        storage.parent.mkdir(parents=True, exist_ok=True)
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    study = optuna.create_study(
-        study_name=search.name, storage=f"sqlite:///{storage}", load_if_exists=True
-    )
+    study = study_storage.open_study(storage, search.name)
+    import optuna
+
     evaluations = trial_config(search.experiment, {}, search.share).evaluations
     study.pruner = optuna.pruners.MedianPruner(
         n_startup_trials=UNJUDGED, n_warmup_steps=max(1, evaluations // 3)
@@ -217,7 +208,19 @@ def search_training(
     if minutes is not None and not minutes > 0.0:
         raise ParameterError("minutes", minutes, "must be above 0")
     until = math.inf if minutes is None else time.monotonic() + 60.0 * minutes
-    study, home = open_study(search, storage), folder / search.name
+    with study_storage.storage_errors(storage):
+        return _searched(search, storage, folder / search.name, trials, until, on_update)
+
+
+def _searched(
+    search: Search,
+    storage: Path,
+    home: Path,
+    trials: int,
+    until: float,
+    on_update: Callable[[SearchProgress], None],
+) -> Trace:
+    study = open_study(search, storage)
     if len(_done(study)) >= trials:
         return trace_of(search, study)
     with locked(home):

@@ -14,7 +14,16 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from agents.experiments.search_space import Choice, Knob
 from agents.experiments.search_trace import Trace, TrialRow, file_name
-from agents.figure_style import BLACK, BLUE, GREY, ORANGE, VERMILLION, figure_style, new_figure
+from agents.figure_style import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    VERMILLION,
+    figure_style,
+    new_figure,
+    write_figure,
+)
 
 ACROSS = 4  # panels in a row
 WIDEST = 20  # characters of an axis' label that a panel has room for
@@ -44,9 +53,8 @@ def search_figure(trace: Trace, folder: str | PathLike[str]) -> Path:
             row[0].set_ylabel(f"cost / {trace.reference}")
         handles, labels = panels.flat[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), handlelength=1.0)
-        folder.mkdir(parents=True, exist_ok=True)
         path = folder / f"{file_name(trace.experiment)}.png"
-        figure.savefig(path, metadata={"Software": None})
+        write_figure(figure, path)
     return path
 
 

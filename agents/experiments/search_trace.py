@@ -12,8 +12,9 @@ from typing import Any
 
 from agents.experiments.search_space import Choice, Knob, Value, space_json, space_of
 from agents.reporting.markdown_blocks import markdown_table, put
-from agents.run_directory import read_json, write_text
+from agents.run_directory import read_json
 from shake_env.errors import ParameterError
+from shake_env.files import write_text
 
 FORMAT = "shake-recipe-search-1"
 PREFIX = "training_search_"  # of a trace's file name in docs/results
@@ -166,7 +167,13 @@ def markdown(trace: Trace, figures: str) -> str:
         return "\n".join([*lines, "No trial came to be judged.", ""])
     best, start = judged[0], trace.start
     good = judged[: max(1, len(judged) // BEST)]
-    head = ("value", "searched", "experiment", f"best trial ({best.number})", f"best quarter ({len(good)})")
+    head = (
+        "value",
+        "searched",
+        "experiment",
+        f"best trial ({best.number})",
+        f"best quarter ({len(good)})",
+    )
     lost = ["-" if start is None else str(start.lost), str(best.lost)]
     rows: list[tuple[str, ...]] = [
         ("cost [95 %]", "", _judged(start), _judged(best), f"to {_number(_cost(good[-1]))}"),

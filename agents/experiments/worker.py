@@ -12,10 +12,11 @@ from os import PathLike
 from pathlib import Path
 
 from agents.progress import Progress
-from agents.run_directory import PROGRESS, parse_json, write_json
+from agents.run_directory import PROGRESS, parse_json
 from agents.training.config import config_of
 from agents.training.run import train_or_resume
 from shake_env.errors import ShakeError
+from shake_env.files import write_json
 
 PATIENCE = 120.0  # [s] in which a worker whose campaign was killed comes to its next report and ends
 

@@ -34,7 +34,6 @@ def draw(
     Spectra are of the file's samples.
     """
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
     for first in range(0, len(channels), MOST_CHANNELS):
         shown = channels[first : first + MOST_CHANNELS]

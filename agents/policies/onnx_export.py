@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from agents.policies.policy_file import PolicyFile
 from agents.policies.recurrent_cells import GatedUnit, MemoryUnit
 from shake_env.errors import PolicyFileError, ShakeError, install_hint
+from shake_env.files import write_bytes
 
 OPSET = 17
 IR_VERSION = 8  # of 2022, that goes with this opset: older runtimes read it, too
@@ -123,9 +124,8 @@ def export_onnx(policy: PolicyFile, path: str | PathLike[str]) -> Path:
     )
     helper.set_model_props(model, {"card": json.dumps(policy.card, sort_keys=True)})
     onnx.checker.check_model(model, full_check=True)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_bytes(model.SerializeToString())
-    return partial.replace(path)
+    write_bytes(path, model.SerializeToString())
+    return path
 
 
 def _recall(graph: _Graph, unit: MemoryUnit, features: str) -> tuple[str, list[str]]:

@@ -22,8 +22,8 @@ from agents.earlier_names import present_card
 from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.policy_header import check_card, parse_header
 from agents.policies.recurrent_cells import PARTS, UNITS, GatedUnit, MemoryUnit, Weights, rest
-from agents.run_directory import replacing
 from shake_env.errors import PolicyFileError
+from shake_env.files import no_file, write_bytes
 from shake_env.scenario.limits import OBSERVATION_BOUND
 from shake_env.scenario.scenario import Scenario
 
@@ -191,8 +191,7 @@ class PolicyFile:
         for name in () if self.law is None else LAW:
             arrays[f"law.{name}"] = getattr(self.law, name)
         contiguous = {name: np.ascontiguousarray(a) for name, a in arrays.items()}
-        with replacing(path) as partial:
-            partial.write_bytes(save(contiguous, {"shake": json.dumps(header, sort_keys=True)}))
+        write_bytes(path, save(contiguous, {"shake": json.dumps(header, sort_keys=True)}))
 
 
 def digest(file: str | PathLike[str]) -> str:
@@ -212,7 +211,7 @@ def load_policy(path: str | PathLike[str]) -> PolicyFile:
     """
     path = Path(path)
     if not path.is_file():
-        raise PolicyFileError("policy file", str(path), f"there is no such file: {_REMEDY}")
+        raise PolicyFileError("policy file", str(path), f"{no_file(path)}: {_REMEDY}")
     try:
         with safe_open(str(path), framework="np") as file:
             text = (file.metadata() or {}).get("shake", "{}")

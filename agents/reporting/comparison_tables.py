@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import asdict, fields
 from os import PathLike
@@ -17,19 +16,17 @@ from agents.evaluation.results import Comparison, GroupSummary
 from agents.figure_style import save_figure, tracking_figure
 from agents.reporting.csv_file import write_csv
 from agents.reporting.terminal import print_table
+from shake_env.files import write_json
 from shake_env.simulation.metrics import EpisodeMetrics
 
 
 def print_tables(comparison: Comparison, console: Console) -> None:
     """Print one table a group of earthquakes."""
     groups = dict.fromkeys(summary.group for summary in comparison.summaries)
+    ended = any(summary.broken_limits for summary in comparison.summaries)
     for group in groups:
         rows = [summary for summary in comparison.summaries if summary.group == group]
-        columns = [
-            column
-            for column in COLUMNS
-            if column[0] != "ended" or any(row.broken_limits for row in rows)
-        ]
+        columns = [column for column in COLUMNS if column[0] != "ended" or ended]
         headings = [heading.format(reference=_label(comparison.reference)) for heading, _ in columns]
         cells = [
             [_label(row.controller), *(cell(row, comparison.reference) for _, cell in columns)]
@@ -43,8 +40,8 @@ def print_tables(comparison: Comparison, console: Console) -> None:
         "earthquakes; 95 % bootstrap interval over earthquakes. Errors: relative to the target's own "
         "rms and peak, mean over earthquakes. Lag of the table's acceleration; share of "
         "response-spectrum ordinates more than 10 % off; Arias intensity over the target's. Current, "
-        "velocity and stroke: the largest. Decision: processor time of one, median. Ended: "
-        "earthquakes that a broken limit ended."
+        "velocity and stroke: the largest. Decision: processor time of one, median."
+        + (" Ended: earthquakes that a broken limit ended." if ended else "")
     )
     for row in comparison.summaries:
         if np.isfinite(row.damage):
@@ -53,7 +50,7 @@ def print_tables(comparison: Comparison, console: Console) -> None:
         console.print(f"The supervisor changed {100 * share:.2f} % of the commands of {_label(name)}.")
     for note in comparison.notes():
         style = "yellow" if note.startswith("Warning") else None
-        console.print(note, highlight=False, soft_wrap=True, style=style)
+        console.print(note, highlight=False, style=style)
     for left_out in comparison.skipped:
         console.print(f"Left out: {left_out}.", style="yellow")
 
@@ -103,10 +100,8 @@ def write_files(
 ) -> list[Path]:
     """Write comparison.json, summary.csv, episodes.csv and the figure; return their paths."""
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / "comparison.json", folder / "summary.csv", folder / "episodes.csv"]
-    text = json.dumps(comparison.to_json(settings), indent=2) + "\n"
-    paths[0].write_text(text, encoding="utf-8")
+    write_json(paths[0], comparison.to_json(settings))
     summaries = [asdict(summary) for summary in comparison.summaries]
     write_csv(paths[1], [field.name for field in fields(GroupSummary)], summaries)
     episodes = [

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
+
+from shake_env.files import write_text
 
 FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a text that begins so is run by a spreadsheet (OWASP, CSV)
 
@@ -25,10 +28,11 @@ def write_csv(
     rows
         Values by column; None is an empty cell. Numbers are written as they are, negative ones too.
     """
-    with Path(path).open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([csv_cell(name) for name in names])
-        writer.writerows([csv_cell(row[name]) for name in names] for row in rows)
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow([csv_cell(name) for name in names])
+    writer.writerows([csv_cell(row[name]) for name in names] for row in rows)
+    write_text(Path(path), text.getvalue())
 
 
 def csv_cell(value: Any) -> Any:

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
 
-from agents.run_directory import write_text
 from shake_env.errors import ParameterError
+from shake_env.files import no_file, write_text
 
 
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -54,7 +54,7 @@ def with_block(page: str | PathLike[str], place: str, text: str, end: str | None
     page = Path(page)
     begin, close = _begin(place), f"<!-- end {end or place} -->"
     if not page.is_file():
-        raise ParameterError("page", str(page), "there is no such file")
+        raise ParameterError("page", str(page), no_file(page))
     before, found, rest = page.read_text(encoding="utf-8").partition(begin)
     _, closed, after = rest.partition(close)
     if not (found and closed):

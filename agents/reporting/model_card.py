@@ -10,13 +10,14 @@ from typing import Any
 
 from matplotlib.ticker import FormatStrFormatter, NullFormatter
 
-from agents.figure_style import BLUE, GREY, figure_style, new_figure
+from agents.figure_style import BLUE, GREY, figure_style, new_figure, write_figure
 from agents.policies.policy_file import PolicyFile, digest, load_policy
 from agents.reporting.evaluation_tables import interval
 from agents.reporting.markdown_blocks import markdown_table
 from agents.reporting.robustness_tables import findings, read_robustness
 from agents.scenario_options import given_options
 from shake_env.errors import ParameterError
+from shake_env.files import write_text
 
 ROWS = (
     ("relative_cost", "cost / {normaliser}", 3, 1.0),
@@ -75,7 +76,7 @@ def write_card(
         draw_curve(policy.card["curve"], figure)
         written.append(figure)
     text = card_text(policy, file, sha, found, figure, limits, unlike)
-    written[0].write_text(text, encoding="utf-8")
+    write_text(written[0], text)
     return written
 
 
@@ -258,4 +259,4 @@ def draw_curve(curve: Sequence[Sequence[float]], file: str | PathLike[str]) -> N
             axes.yaxis.set_minor_formatter(between)
         axes.set_xlabel("control periods of all tables [million]")
         axes.set_ylabel("cost / reference [-]")
-        figure.savefig(file, metadata={"Software": None})
+        write_figure(figure, file)

@@ -33,7 +33,6 @@ LEAST = 1e-12
 def stills(report: Report, folder: str | PathLike[str]) -> list[str]:
     """Draw every figure that there are data for; return their names, without endings."""
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     drawn = []
     with figure_style():
         for name, draw in _FIGURES.items():

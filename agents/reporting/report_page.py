@@ -29,6 +29,7 @@ from agents.reporting.report_data import page_data
 from agents.reporting.report_figures import stills
 from agents.reporting.robustness_figures import figures
 from agents.reporting.robustness_tables import findings, label
+from shake_env.files import write_text
 
 ROBUSTNESS_FIGURES = (
     "Cost over the reference's with one thing changed at a time.",
@@ -158,5 +159,5 @@ def write_report(report: Report, folder: str | PathLike[str]) -> list[Path]:
     folder = Path(folder)
     names = stills(report, folder)
     path = folder / "index.html"
-    path.write_text(page(report, names), encoding="utf-8")
+    write_text(path, page(report, names))
     return [path, *(folder / f"{name}.{ending}" for name in names for ending in ("svg", "png"))]

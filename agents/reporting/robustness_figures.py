@@ -16,7 +16,16 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FuncFormatter, NullFormatter, NullLocator
 
 from agents.evaluation.perturbations import QUANTITIES
-from agents.figure_style import BLACK, CONTROLLERS, GREY, TARGET, figure_style, new_figure, save_figure
+from agents.figure_style import (
+    BLACK,
+    CONTROLLERS,
+    GREY,
+    TARGET,
+    figure_style,
+    new_figure,
+    save_figure,
+    write_figure,
+)
 from agents.reporting.robustness_tables import Point, at, label, sweep
 from shake_env.model.parameters import FloatArray
 
@@ -41,7 +50,6 @@ def draw_robustness(
         Whether each figure is written as SVG, too.
     """
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     written = []
     with figure_style():
         for name, figure in figures(result).items():
@@ -49,7 +57,7 @@ def draw_robustness(
                 written += save_figure(figure, folder, name)
                 continue
             written.append(folder / f"{name}.png")
-            figure.savefig(written[-1], metadata={"Software": None})
+            write_figure(figure, written[-1])
     return written
 
 

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from agents.reporting.markdown_blocks import markdown_table
-from agents.run_directory import read_json, write_text
+from agents.run_directory import read_json
 from shake_env.errors import ParameterError
+from shake_env.files import write_text
 
 PREFIX = "robustness_"
 MATTERS = (

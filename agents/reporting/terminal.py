@@ -80,7 +80,7 @@ def print_table(
                 Text(headings[i]),
                 justify="left" if i < names or i in left else "right",
                 no_wrap=i != fold,
-                overflow="fold" if i == fold else "ignore",
+                overflow="fold" if i == fold else "crop",  # "ignore" would leave figures at the left
                 min_width=None if i == fold else widths[i],
             )
         for number, row in enumerate(rows):

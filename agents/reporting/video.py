@@ -12,6 +12,7 @@ from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
 from shake_env.errors import install_hint
+from shake_env.files import replacing
 
 Frames = Iterator[NDArray[np.uint8]]
 
@@ -29,10 +30,12 @@ def film(path: str | PathLike[str], frames: Frames) -> int:
     ------
     DependencyNotInstalled
         If imageio-ffmpeg (mp4) or Pillow (gif) is missing.
+    FileError
+        If the file cannot be written.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return _gif(path, frames) if path.suffix.lower() == ".gif" else _mp4(path, frames)
+    with replacing(path) as partial:
+        return _gif(partial, frames) if path.suffix.lower() == ".gif" else _mp4(partial, frames)
 
 
 def _mp4(path: Path, frames: Frames) -> int:
@@ -42,7 +45,12 @@ def _mp4(path: Path, frames: Frames) -> int:
         raise DependencyNotInstalled(f"{missing.name} is not installed: {INSTALL}") from missing
     first = next(frames)
     writer = write_frames(
-        str(path), (first.shape[1], first.shape[0]), fps=FILMS[".mp4"], quality=7.0, macro_block_size=2
+        str(path),
+        (first.shape[1], first.shape[0]),
+        fps=FILMS[".mp4"],
+        quality=7.0,
+        macro_block_size=2,
+        output_params=["-f", "mp4"],
     )
     writer.send(None)
     number = 0
@@ -71,6 +79,11 @@ def _gif(path: Path, frames: Frames) -> int:
 
     pictures = images()
     next(pictures).save(
-        path, save_all=True, append_images=pictures, duration=round(1e3 / FILMS[".gif"]), loop=0
+        path,
+        format="GIF",
+        save_all=True,
+        append_images=pictures,
+        duration=round(1e3 / FILMS[".gif"]),
+        loop=0,
     )
     return count

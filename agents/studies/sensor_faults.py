@@ -22,6 +22,7 @@ from agents.evaluation.perturbations import observation_rescaling
 from agents.studies.hostile_controllers import Hostile
 from baselines.batch_controllers import Rescaled
 from shake_env.controller import Controller, decide
+from shake_env.files import write_json
 from shake_env.safety.supervisor import Supervised
 from shake_env.scenario.limits import REASONS
 from shake_env.scenario.observation import ObservationLayout
@@ -225,7 +226,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         list(CASES.values()), lanes=given.tables, seed=given.seed, steps=given.steps, on_case=tell
     )
     if given.output is not None:
-        given.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        write_json(given.output, result, 1)
     held = all(not row["broken"] for row in result["cases"].values() if row["required"])
     return 0 if held else 1
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 from sb3_contrib import RecurrentPPO
 from sb3_contrib.common.recurrent.type_aliases import RNNStates
 from stable_baselines3.common.buffers import ReplayBuffer
@@ -26,7 +26,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from agents.learning.apg.algorithm import AnalyticPolicyGradient
 from agents.learning.networks import DirectPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
-from agents.run_directory import CHECKPOINTS, described, file_errors, parse_json, replacing
+from agents.run_directory import CHECKPOINTS, described, parse_json
 from agents.training.config import TrainConfig
 from agents.training.model_factory import Model, new_model
 from agents.training.plain_state import (
@@ -42,6 +42,7 @@ from agents.training.plain_state import (
     whole_number,
 )
 from shake_env.errors import RunDirectoryError
+from shake_env.files import file_errors, write_bytes
 
 FORMAT = "shake-checkpoint-1"
 KEPT = 2  # newest checkpoints that stay
@@ -94,8 +95,7 @@ def save_checkpoint(run: str | PathLike[str], model: Model, env: ShakeTableVecEn
     if not final.exists():
         values, arrays = split(_state(model, env))
         header = {"format": FORMAT, "state": values}
-        with replacing(final) as partial:
-            save_file(arrays, partial, {"shake": json.dumps(header)})
+        write_bytes(final, save(arrays, {"shake": json.dumps(header)}))
     with file_errors(final.parent):
         delete_checkpoints(run, KEPT)
     return final

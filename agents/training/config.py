@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from agents.earlier_names import present_config, warn_of_old_names
 from agents.plain_values import differences, typed
-from agents.run_directory import CONFIG, described, read_json
+from agents.run_directory import CONFIG, contents, described, read_json
 from agents.scenario_options import ScenarioOptions
 from agents.seeds import MOST_RUNS
 from agents.training.algorithm_options import (
@@ -203,7 +203,11 @@ def read_config(run: str | PathLike[str]) -> TrainConfig:
     try:
         return config_of(values)
     except ValueError as error:
-        reason = f"describes no run of this version ({error}): move the directory away"
+        beside = described([name for name in contents(run) if name != CONFIG]) or "nothing"
+        reason = (
+            f"describes no run of this version ({error}); beside it lies: {beside}. Move the directory "
+            "away, or name another"
+        )
         raise RunDirectoryError("configuration", str(run / CONFIG), reason) from error
 
 

@@ -12,7 +12,6 @@ from os import PathLike
 from pathlib import Path
 
 import torch
-from stable_baselines3.common.logger import configure
 from threadpoolctl import threadpool_limits
 
 import shake_env
@@ -30,21 +29,20 @@ from agents.run_directory import (
     contents,
     create,
     described,
-    file_errors,
     forget_attempt,
     locked,
     read_json,
-    replacing,
-    write_json,
 )
 from agents.seeds import RUN_SEEDS
 from agents.training.checkpoint import checkpoints, load_checkpoint, require_no_pickles, save_checkpoint
 from agents.training.config import TrainConfig, read_config, require_same
+from agents.training.event_log import event_log
 from agents.training.model_factory import Model, new_model
 from agents.training.tables import training_tables
 from agents.training.warm_start import first_file, load_actor_weights
 from agents.training.watch import TrainingWatch, learning_curve
 from shake_env.errors import RunDirectoryError
+from shake_env.files import file_errors, replacing, write_json
 
 
 @dataclass(frozen=True)
@@ -244,8 +242,8 @@ def _run(
     command: str | None,
 ) -> TrainResult:
     code = code_version()  # that runs, not that ends
-    model.set_logger(configure(str(run / "tensorboard"), ["tensorboard"]))
-    with threadpool_limits(config.threads):
+    with event_log(run / "tensorboard") as logger, threadpool_limits(config.threads):
+        model.set_logger(logger)
         watch = TrainingWatch(config, env, run, report)
         remaining = config.steps - model.num_timesteps
         if remaining > 0:

@@ -215,10 +215,11 @@ def parse_motion(
         raise RecordError(name, f"{len(data)} bytes", "the file is empty")
 
     def parsed(given: Unit | None) -> tuple[Record, ...]:
+        more: dict[str, Any]
         for reader in READERS:
             if reader.matches(data):
                 if reader.name in _TABULAR:
-                    more: dict[str, Any] = {"column": column, "table": table}
+                    more = {"column": column, "table": table}
                     return reader.parse(
                         name, data, units=given, sampling_interval=sampling_interval, **more
                     )
@@ -226,7 +227,9 @@ def parse_motion(
                 records = reader.parse(name, data, units=given, sampling_interval=sampling_interval)
                 return records if column is None else (_picked(name, records, column),)
         _refuse_table(name, "columns", table)
-        return parse_columns(name, data, units=given, sampling_interval=sampling_interval, column=column)
+        formats = [*(reader.name for reader in READERS), "columns of text"]
+        more = {"column": column, "formats": formats}
+        return parse_columns(name, data, units=given, sampling_interval=sampling_interval, **more)
 
     with np.errstate(over="ignore", invalid="ignore"):  # a Record refuses what is not finite
         records = parsed(unit)

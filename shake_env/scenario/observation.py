@@ -56,7 +56,7 @@ class Sensor:
         If the signal is unknown, or a value negative (the low-pass: not above zero).
     """
 
-    signal: str
+    signal: str  # what is measured, one of `SIGNALS`
     noise: float = 0.0  # rms of the white noise
     bias: float = 0.0  # standard deviation of the constant offset that an episode draws
     resolution: float = 0.0  # quantisation step; 0: none

@@ -78,8 +78,7 @@ class Scenario:
     delay: float = 0  # [physics steps] from the controller's command to the valve
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
     sensing: Sensing = field(default_factory=Sensing)
-    # Set where this scenario is reserved for testing: name of the one to train and tune on instead.
-    train_on: str | None = None
+    train_on: str | None = None  # scenario to train and tune on instead of this one, which is for tests
 
     @property
     def reserved_for_testing(self) -> bool:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from shake_env.errors import ScenarioError, ShakeError, unknown
+from shake_env.files import no_file
 from shake_env.records import Record
 from shake_env.scenario.observation import Sensor
 from shake_env.scenario.scenario import Scenario
@@ -114,7 +115,7 @@ def _object(path: Path) -> dict[str, Any]:
 
     try:
         if not path.is_file():
-            raise refused("there is no such file")
+            raise refused(no_file(path))
         if path.stat().st_size > LARGEST:
             raise refused(f"is larger than {LARGEST // 1_000_000} MB, so it is no scenario")
         text = path.read_text(encoding="utf-8-sig")

@@ -25,8 +25,8 @@ class Uniform:
         If the ends are not finite, not in order, or below zero.
     """
 
-    low: float
-    high: float
+    low: float  # least value that is drawn, in the parameter's unit
+    high: float  # largest value that is drawn, in the parameter's unit
 
     def __post_init__(self) -> None:
         if not (

@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -11,6 +12,8 @@ import pytest
 
 from agents.evaluation import benchmark as bench
 from agents.evaluation import result_files
+from agents.policies.policy_file import load_policy
+from agents.reporting.markdown_blocks import put
 from agents.run_directory import (
     BEST,
     CONFIG,
@@ -25,11 +28,12 @@ from agents.run_directory import (
     policy_of_run,
     read_json,
     read_rows,
-    replacing,
-    write_json,
 )
 from agents.training.config import TrainConfig, read_config
-from shake_env.errors import FileError, RunDirectoryError
+from baselines.tuned_values import read_tuned
+from shake_env.errors import FileError, RunDirectoryError, ShakeError
+from shake_env.files import replacing, write_json
+from shake_env.scenario.scenario_file import read_scenario
 
 
 def test_a_file_is_replaced_whole_or_not_at_all(tmp_path):
@@ -56,6 +60,64 @@ def test_an_error_of_the_operating_system_names_file_and_remedy(tmp_path, monkey
     assert contents(tmp_path) == []
     with pytest.raises(FileError, match=rf"rows\.jsonl.*{remedy}"):
         append_row(tmp_path / "rows.jsonl", {})
+
+
+def test_what_is_written_names_the_file_and_never_replaces_a_device(tmp_path):
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "folder", tmp_path / "pipe"):
+        with pytest.raises(FileError, match=rf"{path.name}.*a folder, a pipe or a device"):
+            write_json(path, {})
+    (tmp_path / "closed").symlink_to(tmp_path / "a.json")
+    write_json(tmp_path / "closed", {})  # the file that a link leads to
+    assert (tmp_path / "closed").is_symlink() and (tmp_path / "a.json").is_file()
+    with pytest.raises(FileError, match=rf"{tmp_path}/a.json.*where a folder is needed"):
+        write_json(tmp_path / "a.json" / "b", {})
+    with pytest.raises(FileError, match=r"name longer|too long") as refusal:
+        write_json(tmp_path / ("a" * 300), {})
+    assert "partial" not in str(refusal.value)
+
+
+@pytest.mark.skipif(not hasattr(resource, "RLIMIT_FSIZE"), reason="no limit on files here")
+def test_every_writer_names_the_file_when_it_may_not_grow(tmp_path):
+    """A limit on the size of files, in a process of its own, fails a write as a full disk does."""
+    code = f"""
+import resource
+from agents.figure_style import new_figure, save_figure
+from agents.reporting.csv_file import write_csv
+from agents.training.event_log import event_log
+from pathlib import Path
+from shake_env.errors import FileError
+from shake_env.records import load_record, write_record
+
+folder = Path({str(tmp_path)!r})
+record = load_record("napa2014_68150_hne")
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+
+
+def events():
+    with event_log(folder / "events") as logger:
+        for step in range(100):
+            logger.record("value", 1.0)
+            logger.dump(step)
+
+
+for name, write in {{
+    "figure.png": lambda: save_figure(new_figure(3, 3), folder, "figure"),
+    "rows.csv": lambda: write_csv(folder / "rows.csv", ["a"], [{{"a": 1.5}}] * 1000),
+    "record.csv": lambda: write_record(record, folder / "record.csv"),
+    "events": events,
+}}.items():
+    try:
+        write()
+    except FileError as error:
+        assert name in str(error) and "ulimit" in str(error) and "partial" not in str(error), error
+        print(name)
+"""
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert out.stderr == ""
+    assert out.stdout.split() == ["figure.png", "rows.csv", "record.csv", "events"]
+    assert [each.name for each in tmp_path.iterdir()] == ["events"]
 
 
 def test_a_folder_that_is_a_file_is_named(tmp_path):
@@ -114,13 +176,34 @@ def test_what_is_no_json_object_is_refused_in_one_sentence(tmp_path, text, reaso
 def test_only_regular_files_of_sane_size_are_read(tmp_path):
     os.mkfifo(tmp_path / "fifo")
     for path in (tmp_path, tmp_path / "fifo", tmp_path / "absent"):
-        with pytest.raises(FileError, match="no such file"):
+        with pytest.raises(FileError, match=r"no such file|is a"):
             read_json(path)
     write_json(tmp_path / "a", list(range(100)))
     with pytest.raises(FileError, match="larger than 100 byte"):
         read_json(tmp_path / "a", largest=100)
     with pytest.raises(ValueError, match="nested too deeply"):
         parse_json('{"a":' * 100_000)
+
+
+def test_what_is_no_regular_file_is_called_what_it_is(tmp_path):
+    """At every door: a result, a policy, a scenario file, tuned values, a page."""
+    os.mkfifo(tmp_path / "fifo")
+    doors = (read_json, load_policy, read_scenario, read_tuned, lambda path: put(path, "a", "b"))
+    for path, words in (
+        (tmp_path, "is a folder"),
+        (tmp_path / "fifo", "is a pipe or a device"),
+        (tmp_path / "absent", "there is no such file"),
+    ):
+        for read in doors:
+            with pytest.raises(ShakeError, match=words):
+                read(path)
+
+
+def test_a_strangers_configuration_is_refused_with_what_lies_beside_it(tmp_path):
+    write_json(tmp_path / CONFIG, {})
+    (tmp_path / "thesis.tex").write_text("")
+    with pytest.raises(RunDirectoryError, match=r"beside it lies: thesis\.tex"):
+        read_config(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,7 @@ from agents.studies.components.figures import (
     valve_figure,
     yielding_figure,
 )
+from shake_env.files import write_text
 from shake_env.model.nonlinearity import Friction
 
 
@@ -46,9 +47,8 @@ def components(bench: ComponentSetup, folder: Path | None) -> dict[str, Any]:
     }
     if folder is None:
         return found
-    folder.mkdir(parents=True, exist_ok=True)
     numbers = folder / "components.json"
-    numbers.write_text(json.dumps(found, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_text(numbers, json.dumps(found, indent=1, allow_nan=False) + "\n")
     paths = [numbers, *yielding_figure(bench, storey, folder)]
     paths += friction_figure(bench, own, tables, folder)
     paths += valve_figure(bench, folder)

@@ -18,6 +18,7 @@ from agents.reporting.markdown_blocks import markdown_table
 from agents.studies.reproduction import figures as figures
 from agents.studies.reproduction import tables as tables
 from agents.studies.reproduction.tables import MASS_RATIOS, MODELS, STORIES, WEIGHTS
+from shake_env.files import write_text
 
 DESIGN_WITHOUT_SPECIMEN = 1e-3  # mu of a design that takes the table as empty but keeps every weight
 UNAWARE_MASS_RATIOS = (0.1, 0.2, 0.5, 1.0, 2.0)
@@ -59,7 +60,6 @@ def reproduce(
     output = Path(output)
     started = time.perf_counter()
     output = Path(output)
-    output.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
 
     def done(what: str) -> None:
@@ -103,8 +103,8 @@ def reproduce(
     done("figures")
 
     files += [_write_csv(results["cells"], output), output / "reproduction.json", output / "tables.md"]
-    files[-2].write_text(json.dumps(results, indent=1, allow_nan=False) + "\n")
-    files[-1].write_text(markdown(results))
+    write_text(files[-2], json.dumps(results, indent=1, allow_nan=False) + "\n")
+    write_text(files[-1], markdown(results))
     done("tables written")
     return {**results, "seconds": time.perf_counter() - started, "files": [str(f) for f in files]}
 

@@ -108,7 +108,6 @@ def validate(
     files: list[Path] = []
     if output is not None:
         output = Path(output)
-        output.mkdir(parents=True, exist_ok=True)
         files += output_files.write(results, output)
         files += figures.hankel(loops, output)
         files += figures.transfer(loops, output)

@@ -13,6 +13,7 @@ from rich.console import Console
 from agents.reporting.csv_file import write_csv
 from agents.reporting.markdown_blocks import markdown_table
 from agents.reporting.terminal import print_table
+from shake_env.files import write_text
 
 Rows = list[list[str]]
 
@@ -27,7 +28,7 @@ def write(results: dict[str, Any], folder: str | PathLike[str]) -> list[Path]:
     """Write validation.json, ranges.csv, reduction.csv and validation.md; return their paths."""
     folder = Path(folder)
     paths = [folder / n for n in ("validation.json", "ranges.csv", "reduction.csv", "validation.md")]
-    paths[0].write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_text(paths[0], json.dumps(results, indent=1, allow_nan=False) + "\n")
     flat = [
         {k: m[k] for k in ("controller", "group", "motion")} | check
         for m in results["motions"]
@@ -36,7 +37,7 @@ def write(results: dict[str, Any], folder: str | PathLike[str]) -> list[Path]:
     write_csv(paths[1], list(flat[0]), flat)
     orders = [{"table": t} | row for t, r in results["reduction"].items() for row in r["orders"]]
     write_csv(paths[2], list(orders[0]), orders)
-    paths[3].write_text(markdown(results), encoding="utf-8")
+    write_text(paths[3], markdown(results))
     return paths
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from shake_env.errors import RecordError
+from shake_env.files import write_text
 from shake_env.model.parameters import GRAVITY, FloatArray
 from shake_env.records.record import Record
 from shake_env.records.text.source import SourceText, number
@@ -141,7 +142,9 @@ def write_record(record: Record, path: str | PathLike[str]) -> Path:
     Raises
     ------
     RecordError
-        If a line of the attribution would not read back as it is, or the file cannot be written.
+        If a line of the attribution would not read back as it is.
+    FileError
+        If the file cannot be written.
     """
     path = Path(path)
     values, unit = _in_g(record.acceleration)
@@ -165,10 +168,7 @@ def write_record(record: Record, path: str | PathLike[str]) -> Path:
             )  # fmt: skip
     lines = [f"# {key}: {entry}" for key, entry in header.items()]
     text = "\n".join([*lines, _TITLE, *map(repr, values.tolist())]) + "\n"
-    try:
-        path.write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise RecordError(str(path), error.strerror, "must be a place that can be written to") from None
+    write_text(path, text)
     return path
 
 

@@ -9,6 +9,7 @@ What each column was taken for stands in the record's attribution.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 
 from shake_env.errors import RecordError
@@ -22,7 +23,6 @@ from shake_env.records.text.titles import Title
 from shake_env.records.text.wrapping import is_series
 from shake_env.records.units import Unit, settle_interval
 
-_FORMATS = "PEER .AT2, CSMIP volume 1 and 2, K-NET, CSV or columns of time and acceleration"
 _DECIMAL_COMMA = re.compile(r"[+-]?+\d++,\d++(?:[eE][+-]?+\d++)?+|[+-]?+\d++", re.ASCII)
 _SAMPLE = 200  # lines by which decimal commas are told from columns
 
@@ -34,8 +34,11 @@ def parse_columns(
     units: Unit | None = None,
     sampling_interval: float | None = None,
     column: str | int | None = None,
+    formats: Sequence[str] = (),
 ) -> tuple[Record, ...]:
     """Read columns: one record for each column of acceleration, or the one that `column` names.
+
+    An error at a file that holds no columns names the other `formats` that were tried.
 
     Raises
     ------
@@ -45,7 +48,7 @@ def parse_columns(
         states a unit (and, without times, a step).
     """
     source = SourceText(name, data)
-    first, layout = _body(source)
+    first, layout = _body(source, f"; known formats: {', '.join(formats)}" if formats else "")
     heading = read_heading(source, first, layout)
     if first + 1 >= len(source):
         raise source.error(first, "must be followed by another row: 2 samples at least")
@@ -86,8 +89,8 @@ def _columns(source: SourceText, first: int, layout: Layout, heading: Heading) -
     return source.columns(first, last, layout)
 
 
-def _body(source: SourceText) -> tuple[int, Layout]:
-    """Return the first line of the numbers, and their layout."""
+def _body(source: SourceText, known: str) -> tuple[int, Layout]:
+    """Return the first line of the numbers, and their layout; `known` ends an error."""
     lines = range(min(MOST_LINES, len(source)))
     text = (
         [i for i in range(len(source)) if not _is_comment(source.line(i))]
@@ -95,9 +98,7 @@ def _body(source: SourceText) -> tuple[int, Layout]:
         else lines
     )
     if not text:
-        raise RecordError(
-            source.name, f"{len(source)} lines", f"holds no data; known formats: {_FORMATS}"
-        )
+        raise RecordError(source.name, f"{len(source)} lines", f"holds no data{known}")
     decimal_comma = _has_decimal_commas(source)
     before: Layout | None = None
     for index in lines:
@@ -108,7 +109,7 @@ def _body(source: SourceText) -> tuple[int, Layout]:
     if before is not None and len(source) <= MOST_LINES:
         return len(source) - 1, before  # one row, which is refused as such
     shown = next((i for i in lines if not _is_comment(source.line(i))), 0)
-    raise source.error(shown, f"is not a row of numbers; known formats: {_FORMATS}")
+    raise source.error(shown, f"is not a row of numbers{known}")
 
 
 def _is_comment(line: str) -> bool:

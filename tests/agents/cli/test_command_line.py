@@ -245,6 +245,16 @@ def test_the_first_compilation_says_that_it_happens_once(tmp_path):
     assert "compiling" not in again.stderr
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device here")
+@pytest.mark.parametrize("words", [["--help"], ["scenario", "--json"]])
+def test_a_full_standard_output_is_named_without_a_traceback(words):
+    command = [sys.executable, "-m", "agents", *words]
+    with open("/dev/full", "w") as full:
+        out = subprocess.run(command, cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert out.returncode == 2
+    assert re.fullmatch(r"shake: standard output.*: No space left on device\n", out.stderr), out.stderr
+
+
 # Tables
 
 

@@ -2,16 +2,21 @@
 
 import json
 import re
+from dataclasses import replace
 
 import pytest
 
 from agents.__main__ import main
-from agents.evaluation.comparison import compare
+from agents.evaluation.comparison import compare, repeats
 from agents.evaluation.results import cost_text
 from agents.reporting.benchmark_tables import markdown
 from agents.reporting.comparison_tables import print_tables
 from shake_env import make_scenario
 from shake_env.errors import ScenarioError
+from shake_env.motion.targets import RecordedMotion
+from shake_env.records import load_record
+from shake_env.rollout import Earthquake
+from shake_env.scenario.scenario_file import scenario_fields
 
 SHORT = make_scenario("linear", {"duration": 0.4})
 
@@ -40,6 +45,20 @@ def test_one_earthquake_has_no_interval(capsys):
     assert row.cost_text() == f"{row.relative_cost:.3f}" or "[" not in row.cost_text()
     many = compare(SHORT, ["none"], noise=3, records=False)
     assert "[" in next(s for s in many.summaries if s.controller == "none").cost_text()
+
+
+def test_copies_of_a_record_are_one_and_named():
+    record = load_record("napa2014_68150_hne")
+    motions = [
+        Earthquake(name, RecordedMotion(record=replace(record, name=name), duration=0.4))
+        for name in "ab"
+    ]
+    found = compare(SHORT, ["none"], motions=motions, noise=0, records=False)
+    row = next(s for s in found.summaries if s.controller == "none")
+    assert "[" not in row.cost_text() and row.earthquakes == 2
+    (note,) = found.warnings
+    assert "of 2 recorded motions 1 are distinct (b repeats a)" in note
+    assert not repeats([*motions[:1], Earthquake("c", replace(motions[1].motion, amplitude=2.0))])
 
 
 def test_costs_are_written_with_or_without_their_interval():
@@ -92,6 +111,29 @@ def test_bench_names_other_controllers_and_unknown_scenarios(bench, capsys):
     assert "none" in err and "lqr" in err and "--rerun" in err
     assert main(["benchmark", "--scenarios", "linaer"]) == 2
     assert "did you mean 'linear'" in capsys.readouterr().err
+
+
+def test_bench_takes_a_scenario_file_and_notices_that_it_changed(tmp_path, capsys):
+    file = tmp_path / "mine.json"
+
+    def bench(duration, *more):
+        scenario = make_scenario("linear", {"duration": duration})
+        file.write_text(json.dumps({"name": scenario.name, "fields": scenario_fields(scenario)}))
+        words = ["bench", "--controllers", "none", "--earthquakes", "2", "--results", str(tmp_path)]
+        return main([*words, "--scenarios", str(file), *more])
+
+    assert bench(0.5, "--json") == 0
+    result = json.loads(capsys.readouterr().out)[str(file)]
+    assert result["scenario"] == "mine" and result["reference"] == "lqr"
+    assert json.loads((tmp_path / "bench_mine.json").read_text()) == result
+    assert bench(0.5) == 0
+    assert "made before" in capsys.readouterr().out
+    assert bench(0.6) == 2
+    assert "another scenario that is called mine" in capsys.readouterr().err
+    assert bench(0.5, str(tmp_path / "elsewhere" / "mine.json")) == 2
+    assert "one name" in capsys.readouterr().err
+    assert bench(0.5, str(tmp_path / "absent.json")) == 2
+    assert "absent.json" in capsys.readouterr().err
 
 
 def test_bench_writes_nothing_into_the_docs_unless_told(monkeypatch, tmp_path, capsys):

@@ -1,6 +1,9 @@
 """The search of a controller's free parameters: budget, resumption, and that it finds what is there."""
 
 import json
+import os
+import sqlite3
+from contextlib import closing
 
 import numpy as np
 import optuna
@@ -8,13 +11,14 @@ import pytest
 
 from agents.__main__ import main
 from agents.experiments.controller_tuning import FAILED, keep, search, tune
+from agents.experiments.study_storage import storage_errors
 from baselines import registry
 from baselines.catalogue import BASELINES, Baseline, Tunable
 from baselines.lqr.sampled import LinearFeedback, sampled_lqr
 from baselines.registry import make_baseline
 from baselines.tuned_values import read_tuned
 from shake_env import make_scenario
-from shake_env.errors import NumericalError, ParameterError, ScenarioError
+from shake_env.errors import NumericalError, ParameterError, RunDirectoryError, ScenarioError
 
 SHORT = make_scenario("linear", {"duration": 0.5})  # 100 control periods
 
@@ -55,6 +59,44 @@ def test_a_search_goes_on_where_it_stopped(bench, tmp_path):
     assert again.cost <= first.cost and again.default_cost == first.default_cost
     same = tune("scaled", SHORT, tmp_path / "u.db", budget=4 * 800, earthquakes=8)
     assert same.parameters == first.parameters  # the seed decides
+
+
+def test_a_storage_that_is_none_is_named_and_left_as_it_is(bench, tmp_path):
+    junk, stranger = tmp_path / "junk.db", tmp_path / "stranger.db"
+    junk.write_text("no database" * 100)
+    with closing(sqlite3.connect(stranger)) as file:
+        file.execute("create table studies (mine int)")
+    os.mkfifo(tmp_path / "fifo")
+    for path, words in (
+        (junk, "not a database"),
+        (stranger, "another program's"),
+        (tmp_path / "fifo", "pipe"),
+    ):
+        content = path.read_bytes() if path.is_file() else b""
+        with pytest.raises(ParameterError, match=words):
+            tune("scaled", SHORT, path, budget=800, earthquakes=8)
+        assert not content or path.read_bytes() == content
+    odd = tmp_path / "50% of a?b#c{x}.db"  # characters with a meaning in an address
+    tune("scaled", SHORT, odd, budget=800, earthquakes=8)
+    assert odd.stat().st_size > 10_000
+    with storage_errors(odd), pytest.raises(KeyError):
+        raise KeyError  # what is no storage's error passes
+
+
+def test_two_processes_never_search_one_study(bench, tmp_path):
+    """The lock is the study's: another study in the same storage goes on."""
+    others = []
+
+    def beside(done, total, best):
+        for seed in (0, 1):
+            try:
+                tune("scaled", SHORT, tmp_path / "t.db", budget=800, earthquakes=8, seed=seed)
+                others.append(seed)
+            except RunDirectoryError as error:
+                assert "is in use by process" in str(error) and error.field == "study"
+
+    tune("scaled", SHORT, tmp_path / "t.db", budget=800, earthquakes=8, on_trial=beside)
+    assert others == [1]
 
 
 @pytest.mark.parametrize("total", [1, 3, 5])

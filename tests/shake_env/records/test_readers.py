@@ -26,9 +26,10 @@ from record_texts import (
     wave,
 )
 
-from shake_env.errors import ParameterError, RecordError
+from shake_env.errors import FileError, ParameterError, RecordError
 from shake_env.model.parameters import GRAVITY
 from shake_env.records import RECORD_NAMES, Record, load_record, parse_motion, read_motion, write_record
+from shake_env.records.motion_file import READERS
 
 # --- each format, read right ---------------------------------------------------------------------
 
@@ -208,8 +209,9 @@ def test_write_refuses_what_would_not_read_back(entry, tmp_path):
 
 
 def test_write_refuses_a_place_it_cannot_write_to(tmp_path):
-    with pytest.raises(RecordError, match="written"):
-        write_record(load_record(RECORD_NAMES[0]), tmp_path / "absent" / "made.csv")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileError, match="where a folder is needed"):
+        write_record(load_record(RECORD_NAMES[0]), tmp_path / "file" / "made.csv")
 
 
 # --- what is refused, and how --------------------------------------------------------------------
@@ -343,6 +345,13 @@ def test_agreeing_options_change_nothing():
 def test_senseless_options_are_refused(options):
     with pytest.raises(ParameterError):
         parse_motion("made", AT2.encode(), **options)
+
+
+def test_an_unknown_file_names_every_format_that_was_tried():
+    for content in (b"Dear all,\nplease find attached\n", b"# a comment\n"):
+        with pytest.raises(RecordError, match="known formats") as refusal:
+            parse_motion("made", content)
+        assert all(reader.name in str(refusal.value) for reader in READERS)
 
 
 @pytest.mark.parametrize("path", ["absent.at2", "\0", "."])

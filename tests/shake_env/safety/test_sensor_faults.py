@@ -50,6 +50,14 @@ def without_observer(controller, scenario):
     return supervised
 
 
+def test_nothing_but_its_own_sensor_tells_where_the_table_stands():
+    """Why an offset of that sensor that is there from the start cannot be known; docs/safety.md."""
+    plant = make_scenario("laboratory").plant
+    moved = np.zeros(plant.coupled.order)
+    moved[plant.layout.table_displacement] = 0.01
+    assert np.any(plant.coupled.A) and not np.any(plant.coupled.A @ moved)
+
+
 @pytest.mark.parametrize("name", SHORT)
 def test_no_limit_is_broken_under_a_fault(name):
     code, _ = broken_limits(CASES[name], 27, 3, 250)
