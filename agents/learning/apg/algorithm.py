@@ -282,7 +282,11 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         )
         self.memory = None if window.recalled is None else window.recalled.detach()
         seen: list[torch.Tensor] = []
-        if window.aside is not None:
+        if self.terminal_value and window.history is not None:
+            whole = window.history.shape[:-1]
+            (_, critic), _ = self._look(window.history.flatten(end_dim=1).to(dtype), None)
+            seen = list(critic.reshape(*whole, -1))
+        elif window.aside is not None:
             (_, critic), _ = self._look(window.shown.to(dtype), window.recalled)
             seen = [*window.aside, critic]
         steps = torch.arange(self.window, device=self.device)

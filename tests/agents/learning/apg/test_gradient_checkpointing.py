@@ -5,6 +5,7 @@ import pytest
 from gradient_models import model_on
 
 from agents.learning.apg.gradient_checkpointing import checkpointed
+from agents.learning.apg.window_rollout import TorchTables
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_law
 from agents.training.algorithm_options import AnalyticOptions
@@ -16,6 +17,12 @@ from shake_env.errors import ParameterError
 torch = pytest.importorskip("torch")
 
 SPECIMENS = {"fields": {"uncertainty.mass_ratio": [0.1, 1.0], "delay": 2.5}}
+
+
+@pytest.fixture(autouse=True)
+def torch_alone(monkeypatch):
+    """Segments are those of torch; the closed loop in numpy keeps no graph."""
+    monkeypatch.setattr(TorchTables, "loop", None)
 
 
 def estimated(scenario):
