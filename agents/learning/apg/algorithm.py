@@ -21,8 +21,9 @@ from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
 from stable_baselines3.common.utils import safe_mean, update_learning_rate
 
+from agents.learning.apg.loop_gradient import Kept
 from agents.learning.apg.td_lambda import td_lambda_targets
-from agents.learning.apg.window_rollout import Kept, TorchTables, Window
+from agents.learning.apg.window_rollout import TorchTables, Window
 from agents.learning.networks import GRUPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
 from shake_env.errors import ParameterError
