@@ -9,14 +9,14 @@ from agents.learning.vec_env import ShakeTableVecEnv
 from agents.training.model_factory import DirectPolicy
 
 
-def policy_options(scenario, **options):
+def policy_options(scenario, believed=False, **options):
     return {
         "net_arch": [16],
         "activation_fn": torch.nn.Tanh,
         "features_extractor_class": LinearFeatures,
         "features_extractor_kwargs": {
-            "matrix": feature_matrix(scenario).tolist(),
-            "sizes": feature_sizes(scenario).tolist(),
+            "matrix": feature_matrix(scenario, believed).tolist(),
+            "sizes": feature_sizes(scenario, believed).tolist(),
         },
         **options,
     }
@@ -25,9 +25,10 @@ def policy_options(scenario, **options):
 def model_on(scenario, *, lanes=3, memory=False, base=None, authority=1.0, gain=0.002, **options):
     """A small model whose actions are of the order of `gain`."""
     env = ShakeTableVecEnv(scenario, lanes, base=base, authority=authority, reward_scale=0.01)
-    kind, extra = (GRUPolicy, {"units": 8}) if memory else (DirectPolicy, {})
+    kind, units = (GRUPolicy, {"units": 8}) if memory else (DirectPolicy, {})
+    options_of_policy = policy_options(scenario, believed=env.law is not None, **units)
     model = AnalyticPolicyGradient(
-        kind, env, policy_kwargs=policy_options(scenario, **extra), seed=1, device="cpu",
+        kind, env, policy_kwargs=options_of_policy, seed=1, device="cpu",
         **{"window": 12, "gamma": 0.99, "stagger": False, **options},
     )  # fmt: skip
     with torch.no_grad():

@@ -21,8 +21,9 @@ from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
 from stable_baselines3.common.utils import safe_mean, update_learning_rate
 
+from agents.learning.apg.loop_gradient import Kept
 from agents.learning.apg.td_lambda import td_lambda_targets
-from agents.learning.apg.window_rollout import Kept, Window, WindowRollout
+from agents.learning.apg.window_rollout import Window, WindowRollout
 from agents.learning.networks import GRUPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
 from shake_env.errors import ParameterError
@@ -273,10 +274,20 @@ class AnalyticPolicyGradient(BaseAlgorithm):
             action = self.policy.action_net(self.policy.mlp_extractor.forward_actor(actor))[:, 0]
             return action, memory, critic if self.terminal_value else None
 
-        window = self.tables.rollout(act, self.window, recalled=self._begin(), segment=self.checkpoint)
+        window = self.tables.rollout(
+            act,
+            self.window,
+            recalled=self._begin(),
+            segment=self.checkpoint,
+            parameters=self._actor,
+        )
         self.memory = None if window.recalled is None else window.recalled.detach()
         seen: list[torch.Tensor] = []
-        if window.aside is not None:
+        if self.terminal_value and window.history is not None:
+            whole = window.history.shape[:-1]
+            (_, critic), _ = self._look(window.history.flatten(end_dim=1).to(dtype), None)
+            seen = list(critic.reshape(*whole, -1))
+        elif window.aside is not None:
             (_, critic), _ = self._look(window.shown.to(dtype), window.recalled)
             seen = [*window.aside, critic]
         steps = torch.arange(self.window, device=self.device)

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch.autograd.function import once_differentiable
 
-from shake_env import numba_support
-from shake_env.dynamics.linear import PeriodResponse
+from agents.learning.apg.plant_period import CompiledPeriod as NumpyPeriod
+from agents.learning.apg.plant_period import LinearPeriod
+from shake_env.dynamics.linear import PeriodResponse, as_like
 from shake_env.dynamics.nonlinear import NonlinearDynamics, apply
 from shake_env.simulation.transition import TableModel
 
@@ -33,15 +34,10 @@ class PeriodMap:
     substeps: int  # k
 
     @classmethod
-    def of(cls, dynamics: NonlinearDynamics) -> PeriodMap:
-        """Run the update of a table without active nonlinear parts on a basis."""
-        commands = dynamics.arrival.shape[-1] - 1
-        order, batch = dynamics.advance.shape[-2] + commands, dynamics.advance.shape[:-2]
-        basis = torch.eye(order + 1, dtype=dynamics.advance.dtype, device=dynamics.advance.device)
-        basis = basis.reshape(order + 1, *(1 for _ in batch), order + 1).expand(-1, *batch, -1)
-        response = dynamics.control_step(basis[..., :-1], basis[..., -1])
-        columns = torch.cat([response.state, response.table_acceleration, response.base_shear], dim=-1)
-        return cls(columns.movedim(0, -1).contiguous(), order, dynamics.substeps)
+    def of(cls, dynamics: NonlinearDynamics, like: torch.Tensor) -> PeriodMap:
+        """Return the map of dynamics in numpy without active nonlinear parts."""
+        linear = LinearPeriod.of(dynamics)
+        return cls(as_like(linear.matrix, like), linear.states, linear.substeps)
 
     def control_step(
         self, state: torch.Tensor, current: torch.Tensor, drive: torch.Tensor | None = None
@@ -50,10 +46,6 @@ class PeriodMap:
         moved = apply(self.matrix, torch.cat([state, current[..., None]], dim=-1))
         n, k = self.states, self.substeps
         return PeriodResponse(moved[..., :n], moved[..., n : n + k], moved[..., n + k :])
-
-    def like(self, array: torch.Tensor) -> PeriodMap:
-        """Return this map in the precision and on the device of `array`."""
-        return replace(self, matrix=self.matrix.to(array))
 
 
 class _Period(torch.autograd.Function):
@@ -86,16 +78,10 @@ class CompiledPeriod:
 
         It needs numba, and tensors of `like`'s kind in double precision on the processor.
         """
-        if like.dtype != torch.float64 or like.device.type != "cpu" or not numba_support.COMPILED:
+        if like.dtype != torch.float64 or like.device.type != "cpu":
             return None
-        step = dynamics._compiled
-        if step is None:
-            return None
-        from shake_env.kernels.period_adjoint import (
-            PeriodAdjoint,  # compiles, or loads what was, on first use
-        )
-
-        return cls(PeriodAdjoint(step))
+        period = NumpyPeriod.of(dynamics)
+        return None if period is None else cls(period.adjoint_step)
 
     def control_step(
         self, state: torch.Tensor, current: torch.Tensor, drive: torch.Tensor | None = None
@@ -110,7 +96,7 @@ def torch_model(model: TableModel, like: torch.Tensor) -> TableModel:
     dynamics: Any = moved.dynamics
     if isinstance(model.dynamics, NonlinearDynamics):
         if not model.dynamics.parts.active:
-            dynamics = PeriodMap.of(dynamics)
+            dynamics = PeriodMap.of(model.dynamics, like)
         else:
             dynamics = CompiledPeriod.of(model.dynamics, like) or dynamics
     return replace(moved, dynamics=dynamics)

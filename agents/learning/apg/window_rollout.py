@@ -1,14 +1,17 @@
 """N tables in torch over a window of control periods, so that a cost can be differentiated through them.
 
 Ground, previews and sensor noise come from the environment's own numpy streams, computed ahead for the
-window and moved once. What the tables pass on from window to window is data: gradients end there. A long
-window can be followed in segments that are run again when its gradient is taken (Griewank and Walther,
-Evaluating Derivatives, 2008, ch. 12; Chen et al., 2016).
+window and moved once. What the tables pass on from window to window is data: gradients end there.
+
+A policy without memory is followed in numpy, with a reverse sweep of its own (`closed_loop`), where the
+plant's adjoint is compiled or the plant is linear. Everything else is taken apart by torch, which is
+also what the sweep is tested by. There a long window can be followed in segments that are run again when
+its gradient is taken (Griewank and Walther, Evaluating Derivatives, 2008, ch. 12; Chen et al., 2016).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
@@ -18,6 +21,9 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.checkpoint import checkpoint
 
+from agents.learning.apg.closed_loop import ClosedLoop, Start
+from agents.learning.apg.loop_gradient import Act, Kept, correction, differentiable
+from agents.learning.apg.plant_period import period_of
 from agents.learning.apg.torch_plant import torch_model
 from agents.learning.vec_env import ShakeTableVecEnv
 from shake_env.dynamics.ground import GroundPeriod
@@ -27,10 +33,6 @@ from shake_env.scenario.limits import OBSERVATION_BOUND
 from shake_env.scenario.observation import FLOOR_ACCELERATIONS
 from shake_env.simulation.sensors import SensorMemory
 from shake_env.simulation.transition import TableModel
-
-Kept = torch.Tensor | None
-# Observation (N, n) and the policy's memory (N, units) to action (N,), memory, and what to put aside.
-Act = Callable[[torch.Tensor, Kept], tuple[torch.Tensor, Kept, Kept]]
 
 # A segment draws no random number. The other way of torch's refuses `torch.autograd.grad`.
 SEGMENT: dict[str, Any] = {"use_reentrant": False, "preserve_rng_state": False}
@@ -57,7 +59,8 @@ class Window:
     memory: SensorMemory  # then
     law_memory: Kept  # (N, M) of that law then, before it sees the observation
     recalled: Kept  # (N, units) the policy's memory then
-    aside: Kept  # (H, N, ...) what the policy put aside
+    aside: Kept  # (H, N, ...) what the policy put aside; None where it has no memory
+    history: Kept  # (H + 1, N, n + e) what was shown, of a policy without memory; carries the gradient
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,7 @@ class WindowRollout:
         self._base: torch.Tensor | None = as_like(env.base, self.like) if np.any(env.base) else None
         self._law = None if env.law is None else env.law.like(self.like)
         self._model: TableModel | None = None
+        self._loop: ClosedLoop | None = None
         sensors = env.scenario.sensing.sensors or ()
         self._measures_floors = any(s.signal == FLOOR_ACCELERATIONS for s in sensors)
 
@@ -106,6 +110,19 @@ class WindowRollout:
             self._model = torch_model(simulation.model, self.like)
         return self._model
 
+    @property
+    def loop(self) -> ClosedLoop | None:
+        """The closed loop in numpy with the plants as they are drawn now; None where torch is needed."""
+        env, simulation = self.env, self.env.simulation
+        if self.like.dtype != torch.float64 or self.like.device.type != "cpu":
+            return None
+        if self._loop is None or simulation.fleet is not None:
+            period = period_of(simulation.model.dynamics)
+            base = env.base if np.any(env.base) else None
+            if period is not None:
+                self._loop = ClosedLoop(simulation.model, period, env.law, base, env.authority)
+        return self._loop
+
     def rollout(
         self,
         act: Act,
@@ -113,13 +130,15 @@ class WindowRollout:
         *,
         recalled: Kept = None,
         segment: int = 0,
+        parameters: Sequence[torch.Tensor] = (),
     ) -> Window:
         """Follow the tables over `steps` control periods; :meth:`commit` puts the environment there.
 
         Parameters
         ----------
         act
-            Called once a control period, in order, with the observations.
+            Called once a control period, in order, with the observations. With `parameters` and without
+            memory it must be a function of the observation alone: it is also called for all periods.
         steps
             Control periods H of the window.
         recalled
@@ -128,9 +147,19 @@ class WindowRollout:
             Control periods after which only what the tables pass on is kept; a gradient runs each such
             segment again. Memory is then that of one segment and of H / segment states, least near
             sqrt(H), for one more forward pass. 0: everything is kept.
+        parameters
+            What `act` depends on and the sweep takes gradients along; empty: torch follows the tables.
         """
         simulation = self.env.simulation
-        ahead = _Ahead(self.model, simulation.step_count.copy(), *self._ahead(steps))
+        if parameters and recalled is None and (loop := self.loop) is not None:
+            return self._follow_in_numpy(loop, act, steps, parameters)
+        ground, noise = self._ahead(steps)
+        ahead = _Ahead(
+            self.model,
+            simulation.step_count.copy(),
+            ground.like(self.like),
+            as_like(noise, self.like),
+        )
         sensors = simulation.memory.like(self.like)
         carried: tuple[Kept, ...] = (
             as_like(simulation.state, self.like),
@@ -164,6 +193,39 @@ class WindowRollout:
             law_memory=law_memory,
             recalled=recalled,
             aside=aside,
+            history=None,
+        )
+
+    def _follow_in_numpy(
+        self, loop: ClosedLoop, act: Act, steps: int, parameters: Sequence[torch.Tensor]
+    ) -> Window:
+        simulation, law = self.env.simulation, self.env.law
+        age, observation = simulation.step_count.copy(), self.env.observation.astype(float)
+        shown, known = observation, self.env.law_memory
+        if law is not None:
+            known, believed = law.look(self.env.law_memory, observation, age)
+            shown = np.concatenate([observation, believed], axis=-1)
+        ground, noise = self._ahead(steps)
+        start = Start(simulation.state, simulation.memory, shown, known, age)
+        passage = loop.run(start, ground, noise, partial(correction, act))
+        state, acceleration, shear, action, history = differentiable(loop, passage, age, act, parameters)
+        model = self.model
+        outcome = model.judge(
+            PeriodResponse(state, acceleration, shear),
+            model.current_limit * action,
+            ground.like(self.like),
+        )
+        return self._window(
+            outcome.cost.total + outcome.soft_cost,
+            outcome.broken,
+            observation=history[-1][:, : observation.shape[1]],
+            shown=history[-1],
+            state=torch.from_numpy(passage.begun[-1]),
+            memory=passage.sensors.like(self.like),
+            law_memory=None if law is None else torch.from_numpy(passage.law),
+            recalled=None,
+            aside=None,
+            history=history,
         )
 
     def _follow(
@@ -303,7 +365,7 @@ class WindowRollout:
             **stands,
         )
 
-    def _ahead(self, steps: int) -> tuple[GroundPeriod, torch.Tensor]:
+    def _ahead(self, steps: int) -> tuple[GroundPeriod, NDArray[np.float64]]:
         """Return ground (H, N, ...) and sensor noise (H, N, s) of the coming control periods."""
         simulation = self.env.simulation
         rows: dict[str, list[Any]] = {field.name: [] for field in fields(GroundPeriod)}
@@ -317,7 +379,7 @@ class WindowRollout:
         stacked = {
             name: None if column[0] is None else np.stack(column) for name, column in rows.items()
         }
-        return GroundPeriod(**stacked).like(self.like), as_like(np.stack(noise), self.like)
+        return GroundPeriod(**stacked), np.stack(noise)
 
 
 def _part(ground: GroundPeriod, which: int | slice) -> GroundPeriod:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from gradient_models import model_on
 
+from agents.learning.apg.window_rollout import WindowRollout
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_law
 from agents.training.algorithm_options import APGOptions
@@ -15,6 +16,12 @@ from shake_env.errors import ParameterError
 torch = pytest.importorskip("torch")
 
 SPECIMENS = {"fields": {"uncertainty.mass_ratio": [0.1, 1.0], "delay": 2.5}}
+
+
+@pytest.fixture(autouse=True)
+def torch_alone(monkeypatch):
+    """Segments are those of torch; the closed loop in numpy keeps no graph."""
+    monkeypatch.setattr(WindowRollout, "loop", None)
 
 
 def estimated(scenario):
