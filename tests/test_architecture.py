@@ -23,9 +23,9 @@ ROOMS = """
     agents/policies
     agents/scenario_options agents/figure_style agents/provenance agents/progress
     agents/run_directory
-    agents/plain_values agents/seeds
-    baselines/searched_lqg
+    agents/plain_values agents/seeds agents/earlier_names
     baselines/registry
+    baselines/searched_lqg
     baselines/catalogue
     baselines/tuned_values
     baselines/analysis
@@ -48,7 +48,7 @@ ROOMS = """
     shake_env/model
     shake_env/numba_support shake_env/controller shake_env/lazy
     shake_env/files
-    shake_env/errors
+    shake_env/errors shake_env/renamed
 """
 LEARNING = {"torch", "stable_baselines3", "sb3_contrib", "tensorboard"}
 SHOWING = {"matplotlib", "rich", "tyro", "plotly", "jinja2"}

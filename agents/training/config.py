@@ -70,7 +70,7 @@ class TrainConfig:
     """Length of a training earthquake [s]."""
     num_artificial_motions: int = 0
     """Artificial earthquakes of other spectra, scaled to all of the table's stroke, that every other
-    training episode is drawn from (see `artificial`)."""
+    training episode is drawn from (see `artificial_motions`)."""
     state_limit: float = 12.0
     """A training episode ends when a scaled state leaves this bound [multiples of its rms]."""
     odd_symmetry: bool = False

@@ -66,7 +66,7 @@ class CriticWarmupPPO(PPO):
         if not hasattr(self, "_moving"):
             layers = (self.policy.mlp_extractor.policy_net, self.policy.action_net)
             actor = [parameter for layer in layers for parameter in layer.parameters()]
-            # A scale-free actor's biases never move.
+            # The biases of an actor without biases stay 0.
             self._moving = [p for p in (*actor, self.policy.log_std) if p.requires_grad]
         waits = 1.0 - self._current_progress_remaining < self.critic_warmup_fraction
         for parameter in self._moving:

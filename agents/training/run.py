@@ -112,7 +112,7 @@ def resume(
     run = Path(run)
     config = read_config(run)
     with locked(run), file_errors(run):
-        return _go_on(config, run, report, command)
+        return _train_on(config, run, report, command)
 
 
 def train_or_resume(
@@ -139,7 +139,7 @@ def train_or_resume(
     require_same(config, run, "move it away, or name another")
     with locked(run, wait), file_errors(run):
         if not finished(run):
-            _go_on(config, run, report, command)
+            _train_on(config, run, report, command)
 
 
 def require_beginnable(config: TrainConfig, run: str | PathLike[str]) -> None:
@@ -217,7 +217,7 @@ def _describe(folder: Path, config: TrainConfig, first: Path | None) -> None:
     write_json(folder / CONFIG, config.to_json())
 
 
-def _go_on(
+def _train_on(
     config: TrainConfig, run: Path, report: Callable[[Progress], None], command: str | None
 ) -> TrainResult:
     """Go on with a run whose directory is locked; begin it where it was cut before a checkpoint."""

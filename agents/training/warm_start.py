@@ -45,7 +45,7 @@ def load_actor_weights(model: Model, env: ShakeTableVecEnv, policy: PolicyFile) 
         weights[-1] = np.pad(weights[-1], ((0, 0), (0, actor.direct)))
     frozen = [not layer.bias.requires_grad for layer in actor.linear]
     if any(still and bias.any() for still, bias in zip(frozen, policy.biases, strict=True)):
-        remedy = "the actor here is scale-free: give the option --config.ALGORITHM.actor-bias"
+        remedy = "the actor here has no biases: give the option --config.ALGORITHM.actor-bias"
         raise PolicyFileError("biases", "not zero", remedy)
     with torch.no_grad():
         for layer, weight, bias, scale in zip(

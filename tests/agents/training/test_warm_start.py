@@ -184,7 +184,7 @@ def test_a_direct_path_and_biases_need_their_place():
         load_actor_weights(*model_of(TrainConfig()), direct)
     biased = policy_of(TrainConfig(ppo=PPOOptions(actor_bias=True)))
     biased.biases[0][:] = 0.1
-    with pytest.raises(PolicyFileError, match=r"biases.*no-scale-free"):
+    with pytest.raises(PolicyFileError, match=r"biases.*actor-bias"):
         load_actor_weights(*model_of(TrainConfig()), biased)
 
 
