@@ -149,9 +149,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.plant_dtype = plant_dtype
         self.checkpoint = checkpoint
         self.stagger = stagger
-        self.memory: torch.Tensor | None = (
-            None  # (N, units) of a recurrent policy, at the window's start
-        )
+        self.memory: torch.Tensor | None = None  # (N, units) recurrent policy's, at a window's start
         self.retreats = 0
         self._tables: WindowRollout | None = None
         if _init_setup_model:
@@ -173,8 +171,8 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         }
         if not self.policy.share_features_extractor:
             critic |= {id(p) for p in self.policy.vf_features_extractor.parameters()}
-        pairs = zip(self.policy.parameters(), self.slow_policy.parameters(), strict=True)
-        self._slow = {id(fast): slow for fast, slow in pairs}
+        slow = self.slow_policy.parameters()
+        self._slow = {id(p): q for p, q in zip(self.policy.parameters(), slow, strict=True)}
         trained = [p for p in self.policy.parameters() if p.requires_grad]
         self._critic = [p for p in trained if id(p) in critic]
         self._actor = [p for p in trained if id(p) not in critic and p is not self.policy.log_std]
@@ -184,9 +182,8 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         """The environment's tables in torch."""
         if self._tables is None or self._tables.env is not self.env:
             if not isinstance(self.env, ShakeTableVecEnv):
-                raise ParameterError(
-                    "env", type(self.env).__name__, "must be a ShakeTableVecEnv, whose plant is known"
-                )
+                remedy = "must be a ShakeTableVecEnv, whose plant is known"
+                raise ParameterError("env", type(self.env).__name__, remedy)
             dtype = torch.float64 if self.plant_dtype == "float64" else torch.float32
             self._tables = WindowRollout(self.env, device=self.device, dtype=dtype)
         return self._tables
@@ -309,8 +306,8 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         rest = self.policy.rest(self.env.num_envs)
         if self.memory is None or len(self.memory) != len(rest):
             return rest
-        begun = torch.as_tensor(self._last_episode_starts, device=self.device)
-        return torch.where(begun[:, None], 0.0, self.memory.to(rest))
+        begun = torch.as_tensor(self._last_episode_starts, device=self.device)[:, None]
+        return torch.where(begun, 0.0, self.memory.to(rest))
 
     def _look(
         self, observation: torch.Tensor, memory: torch.Tensor | None
@@ -371,8 +368,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         inputs, goals = stacked[:-1][counted], targets[counted]
         losses = []
         for _ in range(self.critic_epochs):
-            order = torch.randperm(len(inputs)).to(inputs.device)
-            for part in order.chunk(self.critic_batches):
+            for part in torch.randperm(len(inputs)).to(inputs.device).chunk(self.critic_batches):
                 loss = torch.nn.functional.mse_loss(self._value(self.policy, inputs[part]), goals[part])
                 if np.isfinite(self._gradient(loss, self._critic)):
                     self._step()
