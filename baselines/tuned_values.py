@@ -94,7 +94,7 @@ def read_tuned(file: str | os.PathLike[str]) -> TunedValues:
     path = Path(file)
     try:
         if not path.is_file():  # a pipe or a device would not end
-            raise ParameterError("tuned", str(file), f"{no_file(path)}: {_REMEDY}")
+            raise ParameterError("tuned", str(file), f"{no_file(path)}; {_REMEDY}")
         if path.stat().st_size > LARGEST:
             raise ParameterError("tuned", str(file), f"is larger than {LARGEST} byte: {_REMEDY}")
         text = path.read_text(encoding="utf-8")

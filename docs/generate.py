@@ -52,6 +52,7 @@ TOPICS = {
         "studies", "cli",
     ),
 }  # fmt: skip
+SB3_GUIDE = DOCS / "howto" / "train_with_sb3.md"
 HEADLINE = ("oracle", "lqg-searched", "ppo", "apg", "apg-force")  # in the README
 DESIGNABLE = ("linear", "as-printed", "laboratory", "unknown-specimen", "yielding")
 
@@ -316,6 +317,19 @@ def shear_error(row: dict[str, Any]) -> str:
     return interval(row["base_shear_rms_error"], 1, 100.0) + failed
 
 
+def sb3_guide() -> str:
+    """Return the table of the guide's runs, a row for each setting, with the costs of its seeds."""
+    runs = json.loads((DOCS / "results" / "sb3_guide.json").read_text(encoding="utf-8"))
+    rows = []
+    for variant in dict.fromkeys(run["variant"] for run in runs):
+        of_it = [run for run in runs if run["variant"] == variant]
+        costs = ", ".join(f"{run['ratio']:.3g}" for run in of_it)
+        seconds = ", ".join(f"{run['seconds']:.0f}" for run in of_it)
+        steps = f"{of_it[0]['steps']:,}".replace(",", " ")
+        rows.append((variant, steps, costs, seconds))
+    return table(("setting", "steps", "cost / LQR's cost, one seed each", "processor time [s]"), rows)
+
+
 def pages() -> dict[Path, str]:
     """Return every generated page by its path."""
     made = {
@@ -324,6 +338,7 @@ def pages() -> dict[Path, str]:
         DOCS / "reference" / "columns.md": columns(),
         DOCS / "reference" / "command-line.md": command_line(),
         ROOT / "README.md": with_block(ROOT / "README.md", "headline", headline()),
+        SB3_GUIDE: with_block(SB3_GUIDE, "sb3 guide", sb3_guide()),
     }
     return made | {DOCS / "api" / f"{package}.md": api(package) for package in PACKAGES}
 

@@ -88,9 +88,9 @@ def write_json(path: Path, value: Any, indent: int | None = 2) -> None:
 def no_file(path: Path) -> str:
     """Return in words what stands at a path at which no regular file does."""
     if path.is_dir():
-        return "is a folder: name a file in it"
+        return "is a folder, where a file is needed"
     if path.exists():
-        return "is a pipe or a device: give a regular file"
+        return "is a pipe or a device, where a file is needed"
     return "there is no such file"
 
 

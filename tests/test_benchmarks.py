@@ -1,5 +1,7 @@
 """What the benchmarks say of their numbers; the numbers themselves are a machine's."""
 
+import inspect
+import json
 import subprocess
 from pathlib import Path
 
@@ -98,3 +100,13 @@ def test_an_sb3_model_of_a_shipped_policys_weights_acts_as_its_file():
         # Single precision: 1e-7 of sums of some tens of terms of order 1.
         assert largest_difference(policy, model, env) < 1e-6
         assert np.abs(model.predict(env.reset(), deterministic=True)[0]).max() < 1.0
+
+
+def test_the_sb3_guides_settings_exist_and_its_results_are_of_them():
+    from benchmarks.sb3_guide import VARIANTS, train
+
+    known = {*inspect.signature(train).parameters}
+    assert all(known >= {*options} for options in VARIANTS.values())
+    runs = json.loads((ROOT / "docs" / "results" / "sb3_guide.json").read_text(encoding="utf-8"))
+    assert {run["variant"] for run in runs} <= {*VARIANTS}
+    assert len({(run["variant"], run["seed"]) for run in runs}) == len(runs)

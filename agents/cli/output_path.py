@@ -7,6 +7,7 @@ from itertools import count
 from pathlib import Path
 
 from shake_env.errors import ParameterError
+from shake_env.files import no_file
 
 
 def output_folder(
@@ -69,7 +70,7 @@ def require_writable_file(file: Path, field: str) -> None:
     if file.is_dir():
         raise ParameterError(field, str(file), "is a folder: name a file in it")
     if file.exists() and not file.is_file():  # opening a pipe would wait for its reader
-        raise ParameterError(field, str(file), "is no regular file: name another")
+        raise ParameterError(field, str(file), f"{no_file(file)}: name another")
     require_writable(file.parent, field)
     if file.exists():
         try:

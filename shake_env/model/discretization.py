@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import expm
+import scipy  # loads scipy.linalg on first use, which takes a third of a second
 
 from shake_env.errors import NumericalError, ParameterError
 from shake_env.model.parameters import FloatArray
@@ -73,7 +73,7 @@ def zero_order_hold(system: StateSpace, dt: float, scale: FloatArray) -> Discret
     generator = np.zeros((*batch, n + inputs, n + inputs))
     generator[..., :n, :n] = system.A * row / column
     generator[..., :n, n:] = system.B / column
-    power = expm(generator * dt)
+    power = scipy.linalg.expm(generator * dt)
     A = power[..., :n, :n] * column / row
     return DiscreteStateSpace(A, power[..., :n, n:] * column, system.C, system.D, dt)
 
@@ -97,7 +97,7 @@ def first_order_hold(
     generator[..., :n, :n] = system.A * row / column * dt
     generator[..., :n, n : n + inputs] = system.B / column * dt
     generator[..., n : n + inputs, n + inputs :] = np.eye(inputs)
-    power = expm(generator)
+    power = scipy.linalg.expm(generator)
     A = power[..., :n, :n] * column / row
     level = power[..., :n, n : n + inputs] * column
     slope = power[..., :n, n + inputs :] * column
@@ -117,7 +117,7 @@ def noise_covariance(A: FloatArray, B: FloatArray, dt: float, scale: FloatArray)
     generator[..., :n, :n] = -A_scaled
     generator[..., :n, n:] = B_scaled @ _transposed(B_scaled)
     generator[..., n:, n:] = _transposed(A_scaled)
-    power = expm(generator * dt)
+    power = scipy.linalg.expm(generator * dt)
     covariance: FloatArray = _transposed(power[..., n:, n:]) @ power[..., :n, n:]
     return 0.5 * (covariance + _transposed(covariance)) * (column * row)
 

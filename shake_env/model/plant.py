@@ -13,8 +13,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy  # loads scipy.linalg on first use, which takes a third of a second
 from numpy.typing import NDArray
-from scipy.linalg import solve_continuous_lyapunov
 
 from shake_env.errors import NumericalError, ParameterError
 from shake_env.model.parameters import (
@@ -220,7 +220,8 @@ def stationary_covariance(A: FloatArray, B: FloatArray) -> FloatArray:
     n = A.shape[-1]
     pairs = zip(A.reshape(-1, n, n), intensity.reshape(-1, n, n), strict=True)
     try:
-        found = np.array([solve_continuous_lyapunov(a, -q) for a, q in pairs]).reshape(A.shape)
+        solutions = [scipy.linalg.solve_continuous_lyapunov(a, -q) for a, q in pairs]
+        found = np.array(solutions).reshape(A.shape)
     except (np.linalg.LinAlgError, ValueError) as error:  # singular; not finite
         raise NumericalError("stationary covariance", str(error), _REMEDY) from None
     if not np.isfinite(found).all():

@@ -107,7 +107,7 @@ def test_pipes_and_devices_are_refused_at_the_door(words, tmp_path, capsys):
     os.mkfifo(tmp_path / "pipe")
     for file in (tmp_path / "pipe", "/dev/zero"):
         assert main([*words, str(file)]) == 2
-        assert "is no regular file" in capsys.readouterr().err
+        assert "is a pipe or a device" in capsys.readouterr().err
 
 
 def test_version(capsys):
