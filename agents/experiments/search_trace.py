@@ -99,7 +99,7 @@ def write_trace(trace: Trace, file: str | PathLike[str]) -> None:
     if not trace.trials:
         raise ParameterError("trials", 0, f"none is done of {trace.experiment}: nothing to keep")
     if file.suffix != ".json":
-        raise ParameterError("keep", str(file), f"must be a file such as {PREFIX}linear_ppo.json")
+        raise ParameterError("output", str(file), f"must be a file such as {PREFIX}linear_ppo.json")
     plain = trace.to_json()
     trials = ",\n".join(f"  {json.dumps(row)}" for row in plain.pop("trials"))
     text = f'{json.dumps(plain, indent=1)[:-2]},\n "trials": [\n{trials}\n ]\n}}\n'

@@ -105,7 +105,7 @@ def test_a_search_keeps_what_a_recipe_claims():
 
 
 def test_ranges_widen_to_what_a_recipe_has():
-    wide = replace(TINY, config=replace(SMALL, horizon=30.0))
+    wide = replace(TINY, config=replace(SMALL, discount_horizon=30.0))
     knob = next(knob for knob in space(wide) if knob.name == "discount_horizon")
     assert knob.high == 30.0 and knob.low == 0.05
     with pytest.raises(ParameterError, match="low must lie below high"):
@@ -318,9 +318,9 @@ def made(**changed):
 
 def test_a_trace_comes_back_as_it_was(whole, tmp_path):
     for trace in (whole, made()):
-        write_trace(trace, tmp_path / "recipe_x.json")
-        assert read_trace(tmp_path / "recipe_x.json") == trace
-    plain = json.loads((tmp_path / "recipe_x.json").read_text())
+        write_trace(trace, tmp_path / "training_search_x.json")
+        assert read_trace(tmp_path / "training_search_x.json") == trace
+    plain = json.loads((tmp_path / "training_search_x.json").read_text())
     counts = {"complete": 3, "failed": 1, "pruned": 1, "processor_seconds": 10_800.0}
     assert plain["budget"] == counts
     assert [row["lost"] for row in plain["trials"]] == [0, None, 0, 3, None]
@@ -330,7 +330,7 @@ def test_a_trace_comes_back_as_it_was(whole, tmp_path):
 def test_a_trace_that_cannot_be_is_named(tmp_path):
     with pytest.raises(ParameterError, match="nothing to keep"):
         write_trace(made(trials=()), tmp_path / "x.json")
-    with pytest.raises(ParameterError, match="recipe_linear_ppo"):
+    with pytest.raises(ParameterError, match="training_search_linear_ppo"):
         write_trace(made(), tmp_path / "x.txt")
     for text in ("", "[]", '{"format": "other"}'):
         (tmp_path / "x.json").write_text(text)
@@ -361,12 +361,12 @@ def test_a_page_gets_its_searches_between_the_markers(tmp_path):
 
 def test_a_figure_has_a_panel_for_each_value(tmp_path):
     file = search_figure(made(), tmp_path)
-    assert file.name == "recipe_yielding_sac.png" and file.read_bytes()[:4] == b"\x89PNG"
+    assert file.name == "training_search_yielding_sac.png" and file.read_bytes()[:4] == b"\x89PNG"
 
 
 def test_the_command_goes_on_keeps_and_renews(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(catalogue, "EXPERIMENTS", (TINY,))
-    kept, page = tmp_path / "kept" / "recipe_linear_ppo.json", tmp_path / "page.md"
+    kept, page = tmp_path / "kept" / "training_search_linear_ppo.json", tmp_path / "page.md"
     page.write_text("<!-- training searches -->\n<!-- end training searches -->\n")
     words = ["tune-training", "linear/ppo", "--step-fraction", "0.5", "--earthquakes", "2", "--json"]
     words += ["--storage", str(tmp_path / "r.db"), "--folder", str(tmp_path / "runs")]
@@ -380,7 +380,7 @@ def test_the_command_goes_on_keeps_and_renews(tmp_path, monkeypatch, capsys):
     assert json.loads(capsys.readouterr().out) == second
     assert read_trace(kept).to_json() == second
     assert "### linear/ppo" in page.read_text()
-    assert (tmp_path / "figures" / "recipe_linear_ppo.png").is_file()
+    assert (tmp_path / "figures" / "training_search_linear_ppo.png").is_file()
     assert main(["tune-training", "linear/pop"]) == 2
     assert "linear/ppo" in capsys.readouterr().err
     with pytest.raises(ScenarioError):
