@@ -13,6 +13,7 @@ import numpy as np
 from shake_env.errors import ParameterError, ScenarioError, ShakeError, unknown
 from shake_env.model.parameters import Specimen
 from shake_env.model.ranges import RANGES, Range, is_number
+from shake_env.records import Record
 from shake_env.scenario.field_paths import NOTHING, Node, nodes_of
 from shake_env.scenario.field_table import (
     MISSING,
@@ -212,6 +213,8 @@ class Builder:
         if types.NoneType in kinds and (value is None or (words and value == NONE)):
             return None
         parts = parts_of(kinds)
+        if Record in kinds and isinstance(value, Mapping):
+            return _record(value, node)
         if isinstance(value, parts) or (bool in kinds and isinstance(value, bool | np.bool_)):
             return value
         if str in kinds and isinstance(value, str):
@@ -246,6 +249,20 @@ class Builder:
             return to_si(value, "-" if allowed is None else allowed.unit)
         except QuantityError as error:
             raise ScenarioError(node.place, value, str(error)) from None
+
+
+def _record(values: Mapping[str, Any], node: Node) -> Record:
+    """Return the record of its plain values, as `scenario_fields` gives them."""
+    try:
+        attribution = tuple((str(key), str(text)) for key, text in values["attribution"])
+        samples = np.asarray(values["acceleration"], dtype=float)
+        interval = float(values["sampling_interval"])
+        return Record(str(values["name"]), samples, interval, attribution)
+    except (KeyError, TypeError, ValueError) as error:
+        remedy = "must be an object of name, sampling_interval, attribution and acceleration"
+        if isinstance(error, ShakeError):
+            remedy = str(error)
+        raise ScenarioError(node.place, sorted(map(str, values)), remedy) from None
 
 
 def _items(values: Iterable[Any], node: Node) -> Iterator[tuple[Any, Node]]:

@@ -44,7 +44,7 @@ class Field:
 
 
 @cache
-def fields_of(kind: Callable[..., Any]) -> tuple[Field, ...]:
+def fields_of(kind: Any) -> tuple[Field, ...]:
     """Return the fields of a dataclass, or the keyword parameters of a constructor.
 
     A parameter without a default whose name begins with an underscore is provided by the reader and is

@@ -57,6 +57,12 @@ _SPELLED = str.maketrans(
 _SUPERSCRIPT = str.maketrans({"\u207b": "-", "\xb9": "1", "\xb2": "2", "\xb3": "3"})
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE]([+-]?\d+))?)\s*(\S.*)?", re.ASCII)
 _TOKEN = re.compile(r"\s*(?:([A-Za-z%]+)(?:\^?(-?\d))?|([-1()/]))", re.ASCII)
+# Units in which a quantity may be shorter than in the SI unit.
+_OTHERS = {
+    "m": ("mm",), "m/s": ("mm/s",), "m^2": ("cm^2",), "m^3": ("cm^3",), "m/A": ("mm/A",), "s": ("ms",),
+    "A": ("mA",), "N": ("kN", "MN"), "N/m": ("kN/m", "MN/m"), "N s/m": ("kN s/m", "MN s/m"),
+    "Pa": ("kPa", "MPa", "GPa"), "Hz": ("kHz",),
+}  # fmt: skip
 _LONGEST = 80  # characters of a quantity
 
 
@@ -94,6 +100,23 @@ def to_si(text: str, unit: str) -> float:
         return float(number)
     except OverflowError:
         return math.inf if number > 0 else -math.inf
+
+
+def in_words(value: float, unit: str) -> str:
+    """Return a finite number of an SI unit as a quantity, such as ``"70 mm"``, in the shortest way.
+
+    It converts back to the same double.
+    """
+    ways = [f"{_shortest(value)} {unit}"]
+    for other in _OTHERS.get(unit, ()):
+        way = f"{_shortest(float(Fraction(value) / _parsed(other)[0]))} {other}"
+        if value and to_si(way, unit) == value:
+            ways.append(way)
+    return min(ways, key=len)
+
+
+def _shortest(value: float) -> str:
+    return repr(float(value)).removesuffix(".0")
 
 
 def is_unit(unit: str) -> bool:

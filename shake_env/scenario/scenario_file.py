@@ -38,19 +38,23 @@ def is_scenario_file(name: object) -> bool:
     return isinstance(name, os.PathLike) or (isinstance(name, str) and name.endswith(SUFFIXES))
 
 
-def flattened(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield path and plain value of every field of a frozen value; infinite numbers as words."""
+def flattened(value: Any, path: str = "", *, samples: bool = False) -> Iterator[tuple[str, Any]]:
+    """Yield path and plain value of every field of a frozen value; infinite numbers as words.
+
+    A record from a file is its name, or (`samples`) an object with all that it holds.
+    """
     if isinstance(value, Record):
-        yield path, value.name
+        yield path, _plain_record(value) if samples else value.name
     elif is_dataclass(value) and not isinstance(value, type):
         for item in fields(value):
-            yield from flattened(getattr(value, item.name), f"{path}.{item.name}".lstrip("."))
+            below = f"{path}.{item.name}".lstrip(".")
+            yield from flattened(getattr(value, item.name), below, samples=samples)
     elif isinstance(value, tuple) and value and all(isinstance(item, Sensor) for item in value):
         for sensor in value:
-            yield from flattened(sensor, f"{path}.{sensor.signal}")
+            yield from flattened(sensor, f"{path}.{sensor.signal}", samples=samples)
     elif isinstance(value, tuple) and value and is_dataclass(value[0]):
         for number, item in enumerate(value):
-            yield from flattened(item, f"{path}[{number}]")
+            yield from flattened(item, f"{path}[{number}]", samples=samples)
     elif isinstance(value, float) and not math.isfinite(value):
         yield path, str(value)
     else:
@@ -58,21 +62,17 @@ def flattened(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def scenario_fields(scenario: Scenario) -> dict[str, Any]:
-    """Return every field of a scenario by its path, as plain JSON values.
+    """Return every field of a scenario by its path, as plain JSON values."""
+    return dict(flattened(scenario, samples=True))
 
-    Raises
-    ------
-    ScenarioError
-        If the scenario holds what these values cannot say: a record that was read from a file.
-    """
-    values = dict(flattened(scenario))
-    if scenario_of(values) != scenario:
-        raise ScenarioError(
-            "motion",
-            values.get("motion.record", scenario.motion),
-            "is no embedded record, so that no scenario file can name it: read it with read_motion",
-        )
-    return values
+
+def _plain_record(record: Record) -> dict[str, Any]:
+    return {
+        "name": record.name,
+        "sampling_interval": record.sampling_interval,
+        "attribution": [list(line) for line in record.attribution],
+        "acceleration": record.acceleration.tolist(),
+    }
 
 
 def scenario_of(values: Mapping[str, Any]) -> Scenario:
@@ -103,7 +103,7 @@ def read_scenario(file: str | os.PathLike[str]) -> Scenario:
         If a recorded motion that the file names cannot be read.
     """
     path = Path(file)
-    return _read_toml(path) if path.suffix == ".toml" else _read_json(path)
+    return parse_toml(path, _text(path, LARGEST_TOML)) if path.suffix == ".toml" else _read_json(path)
 
 
 def _read_json(file: Path) -> Scenario:
@@ -183,8 +183,18 @@ def _no_constant(word: str) -> Any:
 # TOML
 
 
-def _read_toml(file: Path) -> Scenario:
-    tree = _tree(file, (), set())
+def parse_toml(file: str | os.PathLike[str], text: str) -> Scenario:
+    """Return the scenario of a TOML file whose text is in memory; see :func:`read_scenario`.
+
+    Parameters
+    ----------
+    file
+        What messages call it, and what paths in it are relative to.
+    text
+        Its text.
+    """
+    file = Path(file)
+    tree = _tree(TomlSource(file, text), (), set())
     base = tree.parts.pop("base", None)
     start = "linear" if base is None else base.value
     if not isinstance(start, str) or start not in NAMED:
@@ -197,9 +207,9 @@ def _read_toml(file: Path) -> Scenario:
     return scenario
 
 
-def _tree(file: Path, including: tuple[Path, ...], files: set[Path]) -> Node:
+def _tree(source: TomlSource, including: tuple[Path, ...], files: set[Path]) -> Node:
     """Return what a file and those that it includes ask for; `files` are those that were read."""
-    source = TomlSource(file, _text(file, LARGEST_TOML))
+    file = source.file
     tree = _node(_table(source), (), source)
     schema = tree.parts.pop("schema", None)
     if schema is None:
@@ -225,11 +235,10 @@ def _tree(file: Path, including: tuple[Path, ...], files: set[Path]) -> Node:
         if other.resolve() in files:
             continue
         try:
-            part = _tree(other, (*including, file.resolve()), files)
+            text = _text(other, LARGEST_TOML)
         except ScenarioError as error:
-            if error.field == "scenario file":  # it cannot be read
-                raise ScenarioError(f"{place}, include", str(other), error.remedy) from None
-            raise
+            raise ScenarioError(f"{place}, include", str(other), error.remedy) from None
+        part = _tree(TomlSource(other, text), (*including, file.resolve()), files)
         _merge(below, part, replacing=False)
     _merge(tree, below, replacing=True)
     return tree

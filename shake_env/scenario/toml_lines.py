@@ -37,7 +37,8 @@ class TomlSource:
         above: Steps = ()
         for number, text in _statements(self.text):
             for steps, is_header in _written(text, counts, above):
-                lines.setdefault(steps, number)
+                for length in range(1, len(steps) + 1):
+                    lines.setdefault(steps[:length], number)
                 if is_header:
                     above = steps
         return lines
