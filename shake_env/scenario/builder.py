@@ -126,7 +126,8 @@ class Builder:
                         place or f"{node.place}: {name}", None, "is missing: every field must be there"
                     )
                 continue
-            previous = fields[name].default if start is None else getattr(start, name)
+            default = None if fields[name].default is MISSING else fields[name].default
+            previous = default if start is None else getattr(start, name)
             if kind is Scenario and start is not None:
                 self._actuator = new.get("actuator", start.actuator)
                 if name == "motion":

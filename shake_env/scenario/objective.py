@@ -32,7 +32,7 @@ class Objective:
     acceleration_weight: float = 1.0  # w_a [-], or q_1^2 [(s^2/m)^2]
     force_weight: float = 1.0  # w_f [-], or q_2^2 [1/N^2]
     current_weight: float = 0.01  # w_u [-], or r^2 [1/A^2]
-    normalised: bool = True
+    normalised: bool = True  # whether errors are relative to the target's rms
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -108,9 +108,9 @@ def in_words(value: float, unit: str) -> str:
     It converts back to the same double.
     """
     ways = [f"{_shortest(value)} {unit}"]
-    for other in _OTHERS.get(unit, ()):
+    for other in _OTHERS.get(unit, ()) if 1e-100 < abs(value) < 1e100 else ():
         way = f"{_shortest(float(Fraction(value) / _parsed(other)[0]))} {other}"
-        if value and to_si(way, unit) == value:
+        if to_si(way, unit) == value:
             ways.append(way)
     return min(ways, key=len)
 
