@@ -35,8 +35,9 @@ class TomlSource:
         lines: dict[Steps, int] = {}
         counts: dict[Steps, int] = {}  # of the tables in each array
         above: Steps = ()
-        for number, text in _statements(self.text):
-            for steps, is_header in _written(text, counts, above):
+        for number, statement, tree in _statements(self.text):
+            header = statement.lstrip().startswith("[")
+            for steps, is_header in _written(tree, header, counts, above):
                 for length in range(1, len(steps) + 1):
                     lines.setdefault(steps[:length], number)
                 if is_header:
@@ -44,15 +45,16 @@ class TomlSource:
         return lines
 
 
-def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """Yield number and text of every line, with those that a value goes on over."""
+def _statements(text: str) -> Iterator[tuple[int, str, dict[str, Any]]]:
+    """Yield number, text and content of every line, with those that a value goes on over."""
     lines = re.split("(?<=\n)", text)
     index = 0
     while index < len(lines):
         for end in range(index + 1, min(index + MOST_LINES, len(lines)) + 1):
             statement = "".join(lines[index:end])
-            if _parsed(statement) is not None:
-                yield index + 1, statement
+            tree = _parsed(statement)
+            if tree is not None:
+                yield index + 1, statement, tree
                 break
         else:
             end = index + 1
@@ -66,10 +68,10 @@ def _parsed(statement: str) -> dict[str, Any] | None:
         return None
 
 
-def _written(statement: str, counts: dict[Steps, int], above: Steps) -> Iterator[tuple[Steps, bool]]:
+def _written(
+    tree: Any, header: bool, counts: dict[Steps, int], above: Steps
+) -> Iterator[tuple[Steps, bool]]:
     """Yield the paths that a statement writes, and whether it is the heading of a table."""
-    tree = _parsed(statement) or {}
-    header = statement.lstrip().startswith("[")
     steps: Steps = () if header else above
     while isinstance(tree, dict) and len(tree) == 1 and header:
         name, tree = next(iter(tree.items()))
