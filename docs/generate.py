@@ -140,8 +140,8 @@ def scenarios() -> str:
 
 SECTIONS = {"Specimen": "specimen", "RecordedMotion": "motion"}
 FORMS_NOTE = (
-    "A scenario file gives a specimen or a motion by the fields above, or by exactly one of these forms, "
-    "as a table `[specimen.uniform]` or `[motion.file]`.\n"
+    "A scenario file gives a specimen or a motion by the fields above, or by exactly one of these "
+    "forms, as a table `[specimen.uniform]` or `[motion.file]`.\n"
 )
 
 

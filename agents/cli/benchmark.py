@@ -15,6 +15,7 @@ from agents.reporting.terminal import print_markdown
 from agents.run_directory import write_json
 from shake_env.errors import ParameterError, ScenarioError, unknown
 from shake_env.scenario.presets import NAMED
+from shake_env.scenario.scenario_file import is_scenario_file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +32,7 @@ class Bench(CommandOptions):
     """
 
     scenarios: tuple[str, ...] = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
-    """Named scenarios."""
+    """Names of scenarios, or their files."""
     controllers: tuple[str, ...] = ("clairvoyant", "all")
     """Names as shake compare takes them; all: every classical controller that suits the scenario."""
     earthquakes: int = 200
@@ -95,8 +96,8 @@ class Bench(CommandOptions):
         """
         from agents.evaluation.benchmark import difference, read_result, result_file
 
-        if name not in NAMED:
-            raise unknown(ScenarioError, "scenario", name, NAMED)
+        if name not in NAMED and not is_scenario_file(name):
+            raise unknown(ScenarioError, "scenario", name, [*NAMED, "FILE.toml"])
         file = result_file(self.results, name)
         if self.again or not file.exists():
             return None

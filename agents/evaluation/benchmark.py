@@ -21,6 +21,8 @@ from baselines.tuned_values import TunedValues
 from shake_env import make_scenario
 from shake_env.errors import FileError, ParameterError
 from shake_env.model.parameters import is_number
+from shake_env.scenario.digest import scenario_digest
+from shake_env.scenario.scenario_file import is_scenario_file
 
 SCENARIOS = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
 CONTROLLERS = (CLAIRVOYANT, ALL)
@@ -62,7 +64,8 @@ def bench(
         on_progress=on_progress,
     )
     return {
-        "scenario": scenario_name,
+        "scenario": scenario.name,
+        "scenario_digest": scenario_digest(scenario),
         "version": shake_env.__version__,
         "machine": f"{platform.machine()}, {os.cpu_count()} cores",
         "seed": None if recorded else TEST_SEED,
@@ -82,9 +85,9 @@ def ranked(found: Comparison) -> list[GroupSummary]:
 
 
 def result_file(folder: str | PathLike[str], scenario_name: str) -> Path:
-    """Return the file of a scenario's result."""
-    folder = Path(folder)
-    return folder / f"bench_{scenario_name}.json"
+    """Return the file of the result of a scenario, by its name or its own file."""
+    name = Path(scenario_name).stem if is_scenario_file(scenario_name) else scenario_name
+    return Path(folder) / f"bench_{name}.json"
 
 
 def read_result(file: str | PathLike[str]) -> dict[str, Any]:
@@ -157,8 +160,11 @@ def difference(
         File of tuned values that is named.
     """
     number = known["rows"][0]["earthquakes"]
-    if known["scenario"] != scenario_name:
-        return f"is of {known['scenario']}, not {scenario_name}"
+    scenario = make_scenario(scenario_name)
+    if known["scenario"] != scenario.name:
+        return f"is of {known['scenario']}, not {scenario.name}"
+    if is_scenario_file(scenario_name) and known.get("scenario_digest") != scenario_digest(scenario):
+        return f"is of another content of {scenario_name}"
     if known["seed"] is not None and number != asked:
         return f"was made with {number} earthquakes, not {asked}"
     before = known.get("controllers", list(CONTROLLERS))

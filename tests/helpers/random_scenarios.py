@@ -37,7 +37,7 @@ def recorded(stream):
     return RecordedMotion(
         record=random_record(stream) if stream.integers(2) else str(stream.choice(RECORD_NAMES)),
         amplitude=number(stream),
-        time_compression=number(stream),
+        time_compression=1.0 if stream.integers(4) else number(stream),
         highpass_frequency=None if stream.integers(2) else 0.1 * number(stream),
         lowpass_frequency=None if stream.integers(2) else 20.0 * number(stream),
         duration=None if stream.integers(2) else number(stream),

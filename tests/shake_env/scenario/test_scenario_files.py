@@ -29,6 +29,7 @@ from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario_file import parse_toml, scenario_fields, scenario_of
 from shake_env.scenario.scenario_writer import SCHEMA_FILE, scenario_toml, write_scenario
 
+VALIDATOR = jsonschema.Draft7Validator(scenario_schema())
 RECORD = Path(__file__).parents[2] / "data" / "CICLC_trimmed.v1"
 
 
@@ -364,7 +365,7 @@ def assert_same_after_files(scenario, folder):
     assert make_scenario(second) == again
     plain = json.loads(json.dumps(scenario_fields(scenario), allow_nan=False))
     assert scenario_of(plain) == scenario
-    jsonschema.validate(tomllib.loads(file.read_text(encoding="utf-8")), scenario_schema())
+    assert VALIDATOR.is_valid(tomllib.loads(file.read_text(encoding="utf-8")))
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -412,5 +413,4 @@ def test_the_schema_is_one_and_knows_every_field():
     ],
 )
 def test_the_schema_refuses_what_an_editor_should_mark(text, valid):
-    validator = jsonschema.Draft7Validator(scenario_schema())
-    assert validator.is_valid(tomllib.loads(f"schema = 1\n{text}")) == valid
+    assert VALIDATOR.is_valid(tomllib.loads(f"schema = 1\n{text}")) == valid
