@@ -206,9 +206,10 @@ FILES_PAGE = DOCS / "howto" / "files.md"
 def laid_out(tmp_path_factory):
     """A folder with the files that the pages name: those that a page shows, a record, a scenario."""
     folder = tmp_path_factory.mktemp("files")
-    page = FILES_PAGE.read_text(encoding="utf-8")
-    for name, text in re.findall(r'```toml title="([\w.]+)"\n(.*?)```', page, re.DOTALL):
-        (folder / name).write_text(text, encoding="utf-8")
+    for page in PAGES:
+        shown = page.read_text(encoding="utf-8")
+        for name, text in re.findall(r'```toml title="([\w.]+)"\n(.*?)```', shown, re.DOTALL):
+            (folder / name).write_text(text, encoding="utf-8")
     shutil.copy(RECORD, folder / "CICLC.v1")
     scenario = make_scenario("laboratory")
     text = json.dumps({"fields": scenario_fields(scenario)})

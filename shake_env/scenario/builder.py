@@ -70,6 +70,7 @@ class Builder:
         self._complete = complete
         self._scenario: Scenario | None = None  # with every part but its motion
         self._actuator: Any = None
+        self._physics_step: float | None = None
 
     def field(self, about: Field, node: Node, old: Any, inherited: Range | None = None) -> Any:
         """Return a field's value.
@@ -130,6 +131,7 @@ class Builder:
             previous = default if start is None else getattr(start, name)
             if kind is Scenario and start is not None:
                 self._actuator = new.get("actuator", start.actuator)
+                self._physics_step = new.get("physics_step", start.physics_step)
                 if name == "motion":
                     start = self._scenario = _made(replace, node, start, **new)
                     new = {}
@@ -246,8 +248,11 @@ class Builder:
             return float(value)
         if self._complete:
             return value
+        unit = "-" if allowed is None else allowed.unit
         try:
-            return to_si(value, "-" if allowed is None else allowed.unit)
+            if unit == "physics steps" and self._physics_step is not None and value[-1:].isalpha():
+                return to_si(value, "s") / self._physics_step
+            return to_si(value, unit)
         except QuantityError as error:
             raise ScenarioError(node.place, value, str(error)) from None
 

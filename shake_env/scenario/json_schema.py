@@ -144,6 +144,6 @@ def _numbers(allowed: Range | None, unit: str, *, whole: bool = False) -> list[S
         number["minimum"] = 0 if allowed.zero else allowed.low
         if math.isfinite(allowed.high):
             number["maximum"] = allowed.high
-    if whole or not is_unit(unit or "-"):
+    if whole or not (is_unit(unit or "-") or unit == "physics steps"):
         return [number]
     return [number, {"type": "string", "pattern": _NUMBER}]

@@ -216,6 +216,17 @@ def test_what_is_no_text_is_refused(tmp_path):
             make_scenario(path)
 
 
+def test_a_delay_is_a_time_or_a_number_of_physics_steps(write):
+    text = 'physics_step = "0.5 ms"\ndelay = {}\n[uncertainty]\ndelay = ["0 ms", {}]\n'
+    scenario = make_scenario(write(text.format('"2.5 ms"', '"3 ms"')))
+    assert scenario.delay == 5.0 and scenario.uncertainty.delay == Uniform(0.0, 6.0)
+    assert make_scenario(write(text.format("2.5", "3"))).delay == 2.5
+    with pytest.raises(
+        ScenarioError, match="line 3, delay = '2 mm': has the unit mm, which does not conv"
+    ):
+        make_scenario(write(text.format('"2 mm"', "3")))
+
+
 # Forms
 
 
