@@ -66,8 +66,8 @@ class ScenarioOptions:
     delay: float | None = None
     """Loop delay [physics steps]."""
     set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """Any other field as PATH=VALUE, in SI: nonlinearity.friction.coulomb=300, sensing.preview=0.2,
-    uncertainty.mass_ratio=[0.1,1]; may be given again."""
+    """Any other field as PATH=VALUE, in SI or with a unit: nonlinearity.friction.coulomb=300,
+    "limits.table_displacement=70 mm", uncertainty.mass_ratio=[0.1,1]; may be given again."""
     values: tyro.conf.Suppress[dict[str, Any] | None] = None
     """Every field of a scenario that came from a file, in place of its name; see `without_file`."""
 

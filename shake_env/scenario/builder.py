@@ -117,7 +117,7 @@ class Builder:
         for name, part in node.parts.items():
             if name not in fields:
                 raise _unknown_field(part, known)
-        start = old if type(old) is kind else None
+        start = old if type(old) is kind and not self._complete else None
         new: dict[str, Any] = {}
         for name in sorted(fields, key=("specimen", "motion").__contains__):
             if name not in node.parts:
@@ -237,7 +237,7 @@ class Builder:
                 return tuple(self._value(items, v, allowed, n) for v, n in _items(value, node))
         if parts:
             names = " or ".join(getattr(kind, "__name__", str(kind)) for kind in parts)
-            raise ScenarioError(node.place, value, f"is a {names}: name one of its fields by a dot")
+            raise ScenarioError(node.place, value, f"is no {names}: name one of its fields by a dot")
         raise ScenarioError(node.place, value, f"must be {_expected(kinds, allowed)}")
 
     def _number(self, value: Any, allowed: Range | None, node: Node) -> Any:

@@ -145,7 +145,7 @@ def recorded_file(
     return fit_amplitude(motion, scenario_capacity(scenario), physics_step=scenario.physics_step).motion
 
 
-FORMS: Mapping[type, Mapping[str, Callable[..., Any]]] = {
+FORMS: dict[type, Mapping[str, Callable[..., Any]]] = {
     Specimen: {"uniform": equal_storeys},
     RecordedMotion: {"file": recorded_file},
 }

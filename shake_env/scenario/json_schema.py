@@ -122,6 +122,8 @@ def _field(about: Field, definitions: dict[str, Schema], signal_unit: str = "") 
     elif items is not None:
         parts = [_reference(kind, definitions) for kind in parts_of(items)]
         each = parts or _numbers(allowed, unit)
+        if item_kinds(items) is not None:  # rows of a matrix
+            each = [{"type": "array", "items": {"anyOf": each}}]
         choices.append({"type": "array", "items": {"anyOf": each}, "minItems": 1})
     else:
         choices += [

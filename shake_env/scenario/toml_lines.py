@@ -7,12 +7,14 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from shake_env.scenario.field_paths import Steps
 
-MOST_LINES = 1000  # of one value
+MOST_TRIES = 50  # ends that are tried of a value of several lines
+_ENDS = ("]", '"""', "'''")  # one of these ends such a value
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,8 @@ def _statements(text: str) -> Iterator[tuple[int, str, dict[str, Any]]]:
     lines = re.split("(?<=\n)", text)
     index = 0
     while index < len(lines):
-        for end in range(index + 1, min(index + MOST_LINES, len(lines)) + 1):
+        later = (end for end in range(index + 2, len(lines) + 1) if _may_end(lines[end - 1]))
+        for end in (index + 1, *islice(later, MOST_TRIES)):
             statement = "".join(lines[index:end])
             tree = _parsed(statement)
             if tree is not None:
@@ -59,6 +62,10 @@ def _statements(text: str) -> Iterator[tuple[int, str, dict[str, Any]]]:
         else:
             end = index + 1
         index = end
+
+
+def _may_end(line: str) -> bool:
+    return any(mark in line for mark in _ENDS)
 
 
 def _parsed(statement: str) -> dict[str, Any] | None:

@@ -23,7 +23,9 @@ from shake_env import (
     read_motion,
 )
 from shake_env.errors import FileError, ParameterError, RecordError, ScenarioError
+from shake_env.model.ranges import RANGES
 from shake_env.rollout import recorded_earthquakes
+from shake_env.scenario.forms import FORMS
 from shake_env.scenario.json_schema import scenario_schema
 from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario_file import parse_toml, scenario_fields, scenario_of
@@ -149,7 +151,7 @@ def test_what_is_wrong_with_parts_is_refused(files, message, write):
          "line 3, .* = True: must be a number \\[kg\\]"),
         ("[actuator]\ntable_mass = 2024-01-01", ScenarioError, "must be a number \\[kg\\]"),
         ("[actuator]\nfriction.coulomb = 3", ScenarioError, "line 3, actuator.friction = "),
-        ("actuator = 3", ScenarioError, "line 2, actuator = 3: is a Actuator"),
+        ("actuator = 3", ScenarioError, "line 2, actuator = 3: is no Actuator"),
         ("[[actuator]]\ntable_mass = 3", ScenarioError, "line 2, actuator"),
         ("[nonlinearity.friction]\nstatic = 90\ncoulomb = 100", ParameterError,
          "line 3, nonlinearity.friction.static = 90: must be at least the Coulomb force"),
@@ -203,6 +205,16 @@ def test_another_version_is_refused(text, tmp_path):
         make_scenario(tmp_path / "my.toml")
 
 
+def test_a_field_after_values_of_several_lines_is_named_by_its_own_line(write):
+    storeys = "\n".join("  1," for _ in range(150))
+    text = f"# a comment\n\n[specimen]\nmasses = [\n{storeys}\n]\nstiffness = 3\n"
+    with pytest.raises(ScenarioError, match=r"line 157, specimen.stiffness = 3: is no field"):
+        make_scenario(write(text))
+    text = 'name = """\na\n[limits]\n]\nb"""\nspecimen.masses = [ # ]\n 1,\n 2 ]\n"delay" = "x y z"\n'
+    with pytest.raises(ScenarioError, match="line 10, delay = 'x y z'"):
+        make_scenario(write(text))
+
+
 def test_what_is_no_text_is_refused(tmp_path):
     file = tmp_path / "my.toml"
     file.write_bytes(b"schema = 1\nname = '\xff'")
@@ -239,6 +251,38 @@ def test_equal_storeys_stand_on_the_files_own_table(write):
         stories=3, mass_ratio=0.2, storey_frequency=6.0, damping_ratio=0.03, table_mass=400.0
     )
     assert make_scenario(file).specimen == wanted
+
+
+def modal_specimen(*, shapes: tuple[tuple[float, ...], ...], mass: float, _surroundings) -> Specimen:
+    """Return a specimen of its modes.
+
+    Parameters
+    ----------
+    shapes
+        Shape of each mode.
+    mass
+        Mass of a storey [kg].
+    """
+    assert _surroundings.actuator.table_mass == 180.0
+    count = len(shapes)
+    return Specimen(masses=(mass,) * count, stiffnesses=shapes[0], dampings=(1.0,) * count)
+
+
+def test_a_form_of_a_specimen_is_added_by_its_constructor_alone(write, monkeypatch):
+    ranges = {"mass": RANGES["Specimen"]["masses"]}
+    monkeypatch.setitem(RANGES, "modal_specimen", ranges)
+    monkeypatch.setitem(FORMS, Specimen, {"modes": modal_specimen})
+    text = "[specimen.modes]\nmass = {}\nshapes = [[1e4, 2e4], [3e4, 4e4]]\n"
+    assert make_scenario(write(text.format('"0.04 t"'))).specimen.masses == (40.0, 40.0)
+    with pytest.raises(ParameterError, match=r"line 3, specimen.modes.mass = -1: must be a finite"):
+        make_scenario(write(text.format("-1")))
+    schema = scenario_schema()
+    form = schema["definitions"]["Specimen"]["anyOf"][1]["properties"]["modes"]
+    assert form["required"] == ["shapes", "mass"]
+    assert form["properties"]["mass"]["description"].startswith("Mass of a storey [kg]. Range:")
+    validator = jsonschema.Draft7Validator(schema)
+    assert validator.is_valid(tomllib.loads(f"schema = 1\n{text.format(40)}"))
+    assert not validator.is_valid(tomllib.loads(f"schema = 1\n{text.format(-40)}"))
 
 
 def test_a_record_in_a_file_is_read_relative_to_it_and_scaled_to_the_files_table(write, monkeypatch):
