@@ -29,6 +29,11 @@ from shake_env.scenario.quantities import QuantityError, to_si
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uniform
 
+# Fields that joined a part after JSON files of it were written: files without them are read.
+LATER_FIELDS: dict[str, tuple[str, ...]] = {
+    "Scenario": ("table",),
+    "Specimen": ("coupled_masses", "coupled_stiffnesses", "coupled_dampings"),
+}
 NONE = "none"  # word for a value that is left out, where a field may have None
 
 
@@ -121,7 +126,8 @@ class Builder:
         new: dict[str, Any] = {}
         for name in sorted(fields, key=("specimen", "motion").__contains__):
             if name not in node.parts:
-                if start is None and (self._complete or fields[name].default is MISSING):
+                needed = self._complete and name not in LATER_FIELDS.get(kind.__name__, ())
+                if start is None and (needed or fields[name].default is MISSING):
                     place = node.source is None and f"{node.path}.{name}".lstrip(".")
                     raise ScenarioError(
                         place or f"{node.place}: {name}", None, "is missing: every field must be there"

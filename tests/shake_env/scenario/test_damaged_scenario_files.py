@@ -1,6 +1,7 @@
 """Damaged scenario files: read rightly, or refused with file, line and field; never another error."""
 
 import re
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ UNITS = ("kg", "m", "Pa", "s", "A", "N s/m", "m^3", "m/s^2", "kelvin", "mm^9")
 BYTES = tuple("\"#=[]{}.,-+0129eE_ \n\t\\'abc\x00\x7f\xe9")
 
 
+@cache
 def lines_of(text):
     """Index of every line that gives a field, with the field's path and its value as it is written."""
     section, arrays, found = "", {}, []

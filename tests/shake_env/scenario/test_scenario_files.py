@@ -25,6 +25,7 @@ from shake_env import (
 from shake_env.errors import FileError, ParameterError, RecordError, ScenarioError
 from shake_env.model.ranges import RANGES
 from shake_env.rollout import recorded_earthquakes
+from shake_env.scenario.builder import LATER_FIELDS
 from shake_env.scenario.forms import FORMS
 from shake_env.scenario.json_schema import scenario_schema
 from shake_env.scenario.presets import NAMED
@@ -435,6 +436,15 @@ def test_a_thousand_random_scenarios_survive_their_files(tmp_path):
         folder.mkdir()
         assert_same_after_files(random_scenario(np.random.default_rng(1000 + seed)), folder)
         shutil.rmtree(folder)
+
+
+def test_json_of_before_a_field_was_added_is_read(monkeypatch):
+    fields = scenario_fields(make_scenario("yielding"))
+    with pytest.raises(ScenarioError, match=r"limits\.cost_horizon = None: is missing"):
+        scenario_of({path: value for path, value in fields.items() if path != "limits.cost_horizon"})
+    monkeypatch.setitem(LATER_FIELDS, "Limits", ("cost_horizon",))
+    del fields["limits.cost_horizon"]
+    assert scenario_of(fields) == make_scenario("yielding")
 
 
 # The schema
