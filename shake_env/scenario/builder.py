@@ -23,7 +23,7 @@ from shake_env.scenario.field_table import (
     item_kinds,
     parts_of,
 )
-from shake_env.scenario.forms import FORMS, Surroundings
+from shake_env.scenario.forms import FORMS, FormContext
 from shake_env.scenario.observation import UNITS, Sensor
 from shake_env.scenario.quantities import QuantityError, to_si
 from shake_env.scenario.scenario import Scenario
@@ -113,7 +113,7 @@ class Builder:
         forms = {name: make for kind in kinds for name, make in FORMS.get(kind, {}).items()}
         chosen = [] if self._complete else [name for name in node.parts if name in forms]
         if chosen:
-            return self._formed(kinds, forms, chosen[0], node)
+            return self._formed(forms, chosen[0], node)
         kind = _nearest(kinds, node, old)
         if kind is Specimen:
             self._continue_storeys(node, old)
@@ -128,10 +128,8 @@ class Builder:
             if name not in node.parts:
                 needed = self._complete and name not in LATER_FIELDS.get(kind.__name__, ())
                 if start is None and (needed or fields[name].default is MISSING):
-                    place = node.source is None and f"{node.path}.{name}".lstrip(".")
-                    raise ScenarioError(
-                        place or f"{node.place}: {name}", None, "is missing: every field must be there"
-                    )
+                    place = _joined(node, name)
+                    raise ScenarioError(place, None, "is missing: every field must be there")
                 continue
             default = None if fields[name].default is MISSING else fields[name].default
             previous = default if start is None else getattr(start, name)
@@ -144,9 +142,8 @@ class Builder:
             new[name] = self.field(fields[name], node.parts[name], previous, inherited)
         return _made(kind, node, **new) if start is None else _made(replace, node, start, **new)
 
-    def _formed(
-        self, kinds: tuple[Any, ...], forms: Mapping[str, Callable[..., Any]], name: str, node: Node
-    ) -> Any:
+    def _formed(self, forms: Mapping[str, Callable[..., Any]], name: str, node: Node) -> Any:
+        """Return a part that is given by one of its other forms."""
         if len(node.parts) > 1:
             others = [str(other) for other in node.parts if other != name]
             raise ScenarioError(
@@ -166,8 +163,8 @@ class Builder:
             raise ScenarioError(form.place, form.given(), f"needs {', '.join(missing)}, too")
         values = {each: self.field(fields[each], part, None) for each, part in form.parts.items()}
         folder = Path() if node.source is None else node.source.file.parent
-        surroundings = Surroundings(folder, self._actuator, self._scenario)
-        return _made(make, form, **values, _surroundings=surroundings)
+        context = FormContext(folder, self._actuator, self._scenario)
+        return _made(make, form, **values, _context=context)
 
     def _sensors(self, node: Node, old: Any) -> tuple[Sensor, ...] | None:
         """Return sensors by their signals: those of old that are not taken away, and new ones."""
@@ -289,12 +286,14 @@ def _made(make: Callable[..., Any], node: Node, *arguments: Any, **values: Any) 
         return make(*arguments, **values)
     except ShakeError as error:
         nearest = node.nearest(error.field)
-        name = error.field if nearest is node else ""
-        if nearest.source is None:
-            place = ".".join(filter(None, (nearest.path, name)))
-        else:
-            place = ": ".join(filter(None, (nearest.place, name)))
+        place = _joined(node, error.field) if nearest is node else nearest.place
         raise type(error)(place, error.value, error.remedy) from None
+
+
+def _joined(node: Node, name: str) -> str:
+    """Return where a field would stand that is not given."""
+    separator = "." if node.source is None else ": "
+    return separator.join(filter(None, (node.place, name)))
 
 
 def _nearest(kinds: tuple[Any, ...], node: Node, old: Any) -> Any:

@@ -21,7 +21,7 @@ from shake_env.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class FormContext:
     """What a form may need beside its own fields."""
 
     folder: Path  # of the file that gives the part; paths in it are relative to this
@@ -35,7 +35,7 @@ def equal_storeys(
     mass_ratio: float,
     storey_frequency: float,
     damping_ratio: float,
-    _surroundings: Surroundings,
+    _context: FormContext,
 ) -> Specimen:
     """Return equal storeys by the rules of Table I, on the scenario's own table; see `Specimen.uniform`.
 
@@ -55,7 +55,7 @@ def equal_storeys(
         mass_ratio=mass_ratio,
         storey_frequency=storey_frequency,
         damping_ratio=damping_ratio,
-        table_mass=_surroundings.actuator.table_mass,
+        table_mass=_context.actuator.table_mass,
     )
 
 
@@ -76,7 +76,7 @@ def recorded_file(
     duration: float | None = None,
     amplitude: float = 1.0,
     scale_to_table: bool = True,
-    _surroundings: Surroundings,
+    _context: FormContext,
 ) -> RecordedMotion:
     """Return the motion of one channel of a file of recorded acceleration; see `read_motion`.
 
@@ -114,7 +114,7 @@ def recorded_file(
     scale_to_table
         Whether the amplitude is reduced until the motion is within the table's capacity.
     """
-    file = _surroundings.folder / path
+    file = _context.folder / path
     records = read_motion(
         file,
         units=units,
@@ -139,7 +139,7 @@ def recorded_file(
         duration=duration,
         lowpass_frequency=None if coarse else lowpass_frequency,
     )
-    scenario = _surroundings.scenario
+    scenario = _context.scenario
     if not scale_to_table or scenario is None:
         return motion
     return fit_amplitude(motion, scenario_capacity(scenario), physics_step=scenario.physics_step).motion

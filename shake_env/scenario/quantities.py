@@ -102,7 +102,7 @@ def to_si(text: str, unit: str) -> float:
         return math.inf if number > 0 else -math.inf
 
 
-def in_words(value: float, unit: str) -> str:
+def format_quantity(value: float, unit: str) -> str:
     """Return a finite number of an SI unit as a quantity, such as ``"70 mm"``, in the shortest way.
 
     It converts back to the same double.

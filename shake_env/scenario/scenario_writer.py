@@ -21,7 +21,7 @@ from shake_env.scenario.field_paths import Steps
 from shake_env.scenario.field_table import OF_THE_SIGNAL, Field, fields_of, item_kinds, plain
 from shake_env.scenario.forms import recorded_file
 from shake_env.scenario.observation import UNITS, Sensor
-from shake_env.scenario.quantities import in_words, is_unit
+from shake_env.scenario.quantities import format_quantity, is_unit
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.scenario_file import SCHEMA, WHOLE, parse_toml, read_scenario
 from shake_env.scenario.uncertainty import Uniform
@@ -257,7 +257,9 @@ def _written(value: Any, unit: str) -> str:
         return str(number).lower()
     if not math.isfinite(number):
         return "inf" if number > 0 else "-inf"
-    return f'"{in_words(number, unit)}"' if unit not in ("", "-") and is_unit(unit) else repr(number)
+    return (
+        f'"{format_quantity(number, unit)}"' if unit not in ("", "-") and is_unit(unit) else repr(number)
+    )
 
 
 def _word(text: str) -> str:

@@ -53,7 +53,7 @@ def mutated(text, stream):
         return with_line(text, index, line.replace(name, wrong, 1)), (index, path[: -len(name)] + wrong)
     if kind == 1 and number:  # the unit of another quantity
         unit = str(stream.choice([u for u in UNITS if u[-1] != number[2][-1]]))
-        return with_line(text, index, line.replace(number[2], unit, 1)), (index, path)
+        return with_line(text, index, line.replace(number[0], f'"{number[1]} {unit}"', 1)), (index, path)
     if kind == 2 and name not in WORDS:  # another type
         wrong = str(stream.choice(["1979-05-27", '"many"', "[[1]]", "{ a = 1 }", '[true, "x"]', "[]"]))
         if wrong != "[]" or not value.startswith("["):

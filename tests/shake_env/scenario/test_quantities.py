@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from shake_env.model.parameters import GRAVITY
 from shake_env.model.ranges import RANGES
-from shake_env.scenario.quantities import QuantityError, in_words, is_unit, to_si
+from shake_env.scenario.quantities import QuantityError, format_quantity, is_unit, to_si
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ UNITS = sorted({r.unit for fields in RANGES.values() for r in fields.values() if
 
 @given(st.floats(allow_nan=False, allow_infinity=False), st.sampled_from(UNITS))
 def test_words_give_the_same_double_again(value, unit):
-    again = to_si(in_words(value, unit), unit)
+    again = to_si(format_quantity(value, unit), unit)
     assert again == value and math.copysign(1.0, again) == math.copysign(1.0, value or 1.0)
 
 

@@ -254,7 +254,7 @@ def test_equal_storeys_stand_on_the_files_own_table(write):
     assert make_scenario(file).specimen == wanted
 
 
-def modal_specimen(*, shapes: tuple[tuple[float, ...], ...], mass: float, _surroundings) -> Specimen:
+def modal_specimen(*, shapes: tuple[tuple[float, ...], ...], mass: float, _context) -> Specimen:
     """Return a specimen of its modes.
 
     Parameters
@@ -264,7 +264,7 @@ def modal_specimen(*, shapes: tuple[tuple[float, ...], ...], mass: float, _surro
     mass
         Mass of a storey [kg].
     """
-    assert _surroundings.actuator.table_mass == 180.0
+    assert _context.actuator.table_mass == 180.0
     count = len(shapes)
     return Specimen(masses=(mass,) * count, stiffnesses=shapes[0], dampings=(1.0,) * count)
 
