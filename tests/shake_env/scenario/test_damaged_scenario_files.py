@@ -51,7 +51,7 @@ def mutated(text, stream):
         cut = int(stream.integers(len(name)))
         wrong = name[:cut] + name[cut + 1 :] + "x"
         return with_line(text, index, line.replace(name, wrong, 1)), (index, path[: -len(name)] + wrong)
-    if kind == 1 and number:  # the unit of another quantity
+    if kind == 1 and number and name not in WORDS:  # the unit of another quantity
         unit = str(stream.choice([u for u in UNITS if u[-1] != number[2][-1]]))
         return with_line(text, index, line.replace(number[0], f'"{number[1]} {unit}"', 1)), (index, path)
     if kind == 2 and name not in WORDS:  # another type
