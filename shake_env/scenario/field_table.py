@@ -22,6 +22,7 @@ from shake_env.model.ranges import RANGES, UNCERTAIN, Range
 MISSING = dataclasses.MISSING  # default of a field that has none
 # Constructors whose parameters have the ranges of another one's, by their names in `RANGES`.
 _SAME_RANGES = {"equal_storeys": "Specimen.uniform", "recorded_file": "RecordedMotion"}
+_FORM_RANGES = {"recorded_file": {"sampling_interval": Range(1e-9, 1e3, "s", optional=True)}}
 OF_THE_SIGNAL = "of the signal"  # unit of a sensor's fields, which the signal decides
 
 
@@ -91,7 +92,9 @@ def item_kinds(kinds: tuple[Any, ...]) -> tuple[Any, ...] | None:
 
 def _ranges(kind: Callable[..., Any]) -> Mapping[str, Range]:
     name = kind.__qualname__
-    return UNCERTAIN if name == "Uncertainty" else RANGES.get(_SAME_RANGES.get(name, name), {})
+    if name == "Uncertainty":
+        return UNCERTAIN
+    return {**RANGES.get(_SAME_RANGES.get(name, name), {}), **_FORM_RANGES.get(name, {})}
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:

@@ -304,6 +304,16 @@ def test_a_record_in_a_file_is_read_relative_to_it_and_scaled_to_the_files_table
     assert quake.motion == motion
 
 
+def test_the_step_of_a_record_has_a_unit(write):
+    text = '[motion.file]\npath = "plain.csv"\nunits = "g"\nsampling_interval = "{}"\n'
+    file = write(text.format("5 ms"))
+    lines = "\n".join(f"{0.1 * (-1) ** i}" for i in range(400))
+    (file.parent / "plain.csv").write_text(f"acceleration\n{lines}\n")
+    assert make_scenario(file).motion.record.sampling_interval == 0.005
+    with pytest.raises(ScenarioError, match=r"line 5, motion.file.sampling_interval = '5 mm'"):
+        make_scenario(write(text.format("5 mm")))
+
+
 def test_a_set_of_motions(write):
     scenario = make_scenario(
         write(
