@@ -45,7 +45,7 @@ class Compare(FolderOptions):
     num_noise_motions: int = 32
     """Number of filtered-noise earthquakes."""
     records: bool = True
-    """Whether the six embedded records are among the earthquakes."""
+    """Whether the six embedded records, or the scenario's own, are among the earthquakes."""
     seed: int = COMPARISON_SEED
     """First seed of the filtered noise."""
     motion: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()

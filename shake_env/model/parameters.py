@@ -73,16 +73,16 @@ class Actuator:
         damping or leakage is negative.
     """
 
-    table_mass: float = TABLE_MASS  # m_a [kg]
-    table_damping: float = 1000.0  # c_a [N s/m]
-    table_stiffness: float = 0.0  # k_a [N/m]; zero in a seismic simulator
-    piston_area: float = 0.00237  # A_p [m^2]
-    oil_volume: float = 0.00036  # V [m^3]
-    bulk_modulus: float = 1.4e8  # beta [Pa]
-    leakage: float = 1e-16  # K_c [m^3/(Pa s)]
-    flow_gain: float = 76.0  # K_q [m^2/s]
-    valve_gain: float = 5e-4  # K_v [m/A]
-    valve_time_constant: float = 0.010  # T_v [s]
+    table_mass: float = TABLE_MASS  # [kg] m_a, platen, piston and what is fixed to them
+    table_damping: float = 1000.0  # [N s/m] c_a, viscous friction of table and actuator
+    table_stiffness: float = 0.0  # [N/m] k_a, spring between table and ground; none in most tables
+    piston_area: float = 0.00237  # [m^2] A_p, effective area
+    oil_volume: float = 0.00036  # [m^3] V, oil in both chambers and in the lines to the valve
+    bulk_modulus: float = 1.4e8  # [Pa] beta, of the oil with its air
+    leakage: float = 1e-16  # [m^3/(Pa s)] K_c, leakage and flow-pressure coefficient
+    flow_gain: float = 76.0  # [m^2/s] K_q, flow for a spool displacement
+    valve_gain: float = 5e-4  # [m/A] K_v, spool displacement for a current
+    valve_time_constant: float = 0.010  # [s] T_v, of the first-order valve
 
     def __post_init__(self) -> None:
         check_ranges(self)

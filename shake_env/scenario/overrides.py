@@ -12,14 +12,14 @@ from shake_env.model.nonlinearity import Nonlinearity
 from shake_env.model.parameters import ModelEquations, Specimen
 from shake_env.motion.processing import fit_amplitude
 from shake_env.motion.targets import FilteredNoise, Motion, MotionSet, RecordedMotion
+from shake_env.scenario.builder import with_fields
 from shake_env.scenario.capacity import scenario_capacity
-from shake_env.scenario.field_paths import with_fields
 from shake_env.scenario.limits import Limits
 from shake_env.scenario.objective import Objective
 from shake_env.scenario.observation import Sensing
 from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import UNIFORM, Scenario
-from shake_env.scenario.scenario_file import read_scenario
+from shake_env.scenario.scenario_file import is_scenario_file, read_scenario
 from shake_env.scenario.uncertainty import Uncertainty
 
 
@@ -70,8 +70,8 @@ def make_scenario(
     ----------
     scenario
         A name (``"linear"``, ``"as-printed"``, ``"laboratory"``, ``"unknown-specimen"``,
-        ``"yielding"``, ``"records"``), the path of a JSON file that ``shake show-scenario --json``
-        printed (it ends in ``.json`` or is an ``os.PathLike``), or a scenario.
+        ``"yielding"``, ``"records"``), the path of a scenario file (it ends in ``.toml`` or ``.json``,
+        or is an ``os.PathLike``; see `read_scenario`), or a scenario.
     overrides
         ``stories``, ``mass_ratio``, ``storey_frequency`` [Hz], ``damping_ratio`` (equal storeys) or
         ``specimen``; ``equations`` ("corrected", "as_printed" or a value); ``physics_step`` [s],
@@ -91,11 +91,11 @@ def make_scenario(
     ParameterError
         If a value is outside its range.
     """
-    if isinstance(scenario, os.PathLike) or (isinstance(scenario, str) and scenario.endswith(".json")):
+    if isinstance(scenario, str | os.PathLike) and is_scenario_file(scenario):
         scenario = read_scenario(scenario)
     elif isinstance(scenario, str):
         if scenario not in NAMED:
-            raise unknown(ScenarioError, "scenario", scenario, [*NAMED, "FILE.json"])
+            raise unknown(ScenarioError, "scenario", scenario, [*NAMED, "FILE.toml"])
         scenario = NAMED[scenario]()
     if not isinstance(scenario, Scenario):
         raise ScenarioError("scenario", scenario, "must be a Scenario or the name of one")

@@ -58,15 +58,15 @@ class Scenario:
         If a part is of another type.
     """
 
-    name: str = "linear"
+    name: str = "linear"  # in tables, figures and results
     actuator: Actuator = field(default_factory=Actuator)
     specimen: Specimen = field(default_factory=Specimen.uniform)
     ground: GroundFilter = field(default_factory=GroundFilter)
     equations: ModelEquations = field(default_factory=ModelEquations)
     motion: Motion = field(default_factory=FilteredNoise)
     objective: Objective = field(default_factory=Objective)
-    physics_step: float = 1e-3  # [s]
-    control_rate: float = 200.0  # [Hz]
+    physics_step: float = 1e-3  # [s] of the integration
+    control_rate: float = 200.0  # [Hz] of the controller; its period is a whole number of steps
     # Of the directions of a step's noise, two lose 1e-9 of any mean square at 1 ms
     # (`DiscretePlant.noise`); None draws all above rounding, which takes twice as many.
     noise_directions: int | None = 2  # [-] random numbers a physics step
