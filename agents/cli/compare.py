@@ -19,6 +19,10 @@ from agents.progress import progress_bar
 from agents.scenario_options import ScenarioOptions
 from agents.seeds import COMPARISON_SEED
 from shake_env.errors import ParameterError
+from shake_env.scenario.tables import DEFAULT_TABLE
+
+DEFAULT_CONTROLLERS = ("none", "policy", "analytic", "off-policy")
+CLASSICAL = ("none", "pid", "tvc")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,11 +39,12 @@ class Compare(FolderOptions):
     """
 
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
-    controllers: tuple[str, ...] = ("none", "policy", "analytic", "off-policy")
+    controllers: tuple[str, ...] = DEFAULT_CONTROLLERS
     """Names of classical controllers, all (every one that suits the scenario), policy, analytic
     and off-policy (those that ship), paths of policy files and run directories, or module:Class and
-    file.py:Class for one of one's own. The reference (LQR, or LQG where signals are measured) always
-    runs."""
+    file.py:Class for one of one's own. The policies that ship know the default table only: on another
+    one none, pid and tvc run where nothing is named. The reference (LQR, or LQG where signals are
+    measured) always runs."""
     tuned: Path | None = None
     """File of tuned values that shake tune --keep wrote, for a scenario that nothing was tuned on."""
     noise: int = 32
@@ -75,6 +80,8 @@ class Compare(FolderOptions):
         if self.noise < 0:
             raise ParameterError("noise", self.noise, "must be at least 0")
         scenario = self.scenario.build()
+        unset = self.controllers == DEFAULT_CONTROLLERS
+        chosen = CLASSICAL if unset and scenario.table != DEFAULT_TABLE else self.controllers
         folder = self.results_folder("compare")
         if self.report is not None:
             output_folder(self.report, self.report, force=self.force, field="report")
@@ -100,7 +107,7 @@ class Compare(FolderOptions):
 
             result = compare(
                 scenario,
-                self.controllers,
+                chosen,
                 noise=self.noise,
                 records=self.records,
                 seed=self.seed,
