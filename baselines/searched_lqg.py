@@ -19,7 +19,6 @@ from baselines.lqr.preview import PreviewFeedback, preview_lqr
 from baselines.registry import parameter_values
 from shake_env.controller import Controller
 from shake_env.errors import ScenarioError, unknown
-from shake_env.model.parameters import Specimen
 from shake_env.scenario.scenario import Scenario
 
 FREE, FREE_FORCE = "free", "free-force"  # their names, where controllers have one
@@ -71,12 +70,7 @@ def free_design(scenario: Scenario, **values: float) -> Controller:
 
     def make(full: Scenario) -> Controller:
         mass, frequency = values["mass"], values["frequency"]
-        specimen = full.specimen
-        other = Specimen(
-            masses=tuple(mass * m for m in specimen.masses),
-            stiffnesses=tuple(mass * frequency**2 * k for k in specimen.stiffnesses),
-            dampings=tuple(mass * frequency * values["damping"] * c for c in specimen.dampings),
-        )
+        other = full.specimen.scaled(mass=mass, frequency=frequency, damping=values["damping"])
         imagined = replace(full, specimen=other)
         cost = imagined.stage_cost
         cost = replace(

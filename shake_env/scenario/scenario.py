@@ -115,6 +115,10 @@ class Scenario:
         check_directions("noise_directions", self.noise_directions)
 
     def _check_equations(self) -> None:
+        if self.specimen.coupled and self.nonlinearity.yielding.active:
+            raise ScenarioError(
+                "nonlinearity.yielding", self.nonlinearity.yielding, "needs storeys: give no matrices"
+            )
         asked = {
             "nonlinearity": self.nonlinearity.active,
             "delay": bool(self.delay),

@@ -225,7 +225,7 @@ def _leaf(kinds: tuple[Any, ...], value: Any, path: str) -> Any:
             return value
         if kind in (bool, int, str, types.NoneType) and type(value) is kind:
             return value
-        if typing.get_origin(kind) is tuple and isinstance(value, list):
+        if typing.get_origin(kind) is tuple and isinstance(value, list | tuple):
             each = typing.get_args(kind)[0]
             return tuple(_leaf(_kinds(each), item, f"{path}[{i}]") for i, item in enumerate(value))
     names = [getattr(kind, "__name__", str(kind)) for kind in kinds]

@@ -16,8 +16,9 @@ from importlib import resources
 from typing import Any, Literal
 
 from shake_env.errors import ScenarioError, unknown
+from shake_env.model.motor import NOMINAL_FLOW_GAIN, electric_actuator
 from shake_env.model.nonlinearity import Friction, ServoValve
-from shake_env.model.parameters import NOMINAL_FLOW_GAIN, Actuator
+from shake_env.model.parameters import Actuator
 
 DEFAULT_TABLE = "gavin-hoagg-2009"
 TABLE_NAMES = (DEFAULT_TABLE, "lnec-uniaxial", "quanser-shake-table-ii", "lhpost")
@@ -106,7 +107,7 @@ class Table:
             motor = {name: self[name] for name in _ELECTRIC if name != "current_limit"}
             if self.facts["back_emf_constant"].unit == "V/rpm":
                 motor["back_emf_constant"] /= _RPM
-            return Actuator.electric(**common, **motor)
+            return electric_actuator(**common, **motor)
         oil = {name: self[name] for name in _HYDRAULIC if name != "supply_pressure"}
         flow_gain = self["flow_gain"] if "flow_gain" in self.facts else NOMINAL_FLOW_GAIN
         if "valve_gain" in self.facts:

@@ -13,7 +13,8 @@ from agents.policies.registry import shipped_policy
 from baselines.lqr.sampled import sampled_lqr
 from shake_env.errors import PolicyFileError, ScenarioError
 from shake_env.model.discretization import zero_order_hold
-from shake_env.model.parameters import Actuator, ModelEquations
+from shake_env.model.motor import electric_actuator
+from shake_env.model.parameters import ModelEquations
 from shake_env.model.plant import StateSpace, actuator_plant
 from shake_env.motion.processing import MotionPeaks
 from shake_env.scenario.capacity import scenario_capacity
@@ -81,7 +82,7 @@ def test_a_motor_and_its_screw_obey_the_actuators_equations():
 
     times = np.linspace(0.0, 0.1, 21)
     own = solve_ivp(rates, (0.0, 0.1), np.zeros(4), t_eval=times, rtol=1e-10, atol=1e-12).y
-    actuator = Actuator.electric(
+    actuator = electric_actuator(
         table_mass=mass, table_damping=damping, table_stiffness=spring, screw_lead=lead, **MOTOR
     )
     plant = actuator_plant(actuator, ModelEquations())
