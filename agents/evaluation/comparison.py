@@ -13,6 +13,7 @@ from agents.evaluation.controller_set import CLAIRVOYANT, named_controllers, req
 from agents.evaluation.fidelity import Fidelity, fidelity
 from agents.evaluation.latency import decision_time
 from agents.evaluation.results import Comparison, GroupSummary
+from agents.evaluation.tracking import TrackingFigures, tracking_figures
 from agents.seeds import COMPARISON_SEED
 from baselines.catalogue import BASELINES
 from baselines.iterative.drive_file import DriveFile
@@ -104,6 +105,7 @@ def compare(
         driven[CLAIRVOYANT], controllers[CLAIRVOYANT] = clairvoyant(scenario, earthquakes)
     episodes: dict[str, list[EpisodeMetrics]] = {}
     fidelities: dict[str, list[Fidelity]] = {}
+    tracking: dict[str, list[TrackingFigures]] = {}
     latency: dict[str, float] = {}
     shares: dict[str, float] = {}
     traces: dict[str, Trajectory] = {}
@@ -123,6 +125,7 @@ def compare(
         step, stories = scenario.physics_step, scenario.specimen.stories
         on_histories(name, [(quake, found[i]) for i, quake in enumerate(earthquakes)])
         fidelities[name] = [fidelity(found[i], step, stories) for i in range(len(earthquakes))]
+        tracking[name] = [tracking_figures(found[i], step) for i in range(len(earthquakes))]
         # What is made for each lane's own earthquake or plant has no decision for one table to time.
         own = name == CLAIRVOYANT or (name in BASELINES and BASELINES[name].repeats_tests)
         latency[name] = float("nan") if own else decision_time(controller, scenario)
@@ -145,7 +148,7 @@ def compare(
     of_each = [group for group, members in groups.items() for _ in members]
     return Comparison(
         summaries, episodes, fidelities, traces, reference, name, chosen.skipped, shares, of_each,
-        chosen.values, chosen.warnings,
+        chosen.values, chosen.warnings, tracking,
     )  # fmt: skip
 
 

@@ -24,6 +24,7 @@ from agents.figure_style import PLOTLY, figure_style
 from agents.reporting.report import Report
 from agents.reporting.report_data import page_data
 from agents.reporting.report_figures import stills
+from agents.reporting.report_tracking import tracking_table
 from agents.reporting.robustness_figures import figures
 from agents.reporting.robustness_tables import findings, label
 
@@ -146,6 +147,10 @@ def _plot(identifier: str, words: str) -> str:
 def _tables(report: Report) -> str:
     groups = list(dict.fromkeys(report.comparison.groups))
     body = "".join(_table(report, group) for group in groups)
+    if report.comparison.tracking:
+        of_group = report.comparison.groups
+        members = [i for i, group in enumerate(of_group) if group == report.verdict.group]
+        body += tracking_table(report.comparison.tracking, report.labels, members)
     text = (
         "Cost is the sum over a group's earthquakes, relative to the reference's on the same ones. "
         "Errors are rms relative to the target's own rms, mean over earthquakes. Brackets: 95 % "
@@ -160,6 +165,8 @@ def _table(report: Report, group: str) -> str:
     members = [i for i, each in enumerate(report.comparison.groups) if each == group]
     least = min(row.relative_cost for row in rows if row.controller != CLAIRVOYANT)
     reference = escape(report.labels[report.comparison.reference])
+    amperes = report.scenario.input_unit == "A"
+    factor, heading = (1e3, "current [mA]") if amperes else (1.0, "input [V]")
 
     def error(field: str) -> Callable[[GroupSummary], Cell]:
         def cell(row: GroupSummary) -> Cell:
@@ -175,7 +182,7 @@ def _table(report: Report, group: str) -> str:
         ("base shear<br>error [%]", error("base_shear_rms_error")),
         ("lag [ms]", lambda row: _number(1e3 * row.delay, 1)),
         ("spectrum [%]", lambda row: _number(100 * row.spectral_error, 0)),
-        ("current [mA]", lambda row: _number(1e3 * row.peak_current, 0)),
+        (heading, lambda row: _number(factor * row.peak_current, 0)),
         ("velocity [m/s]", lambda row: _number(row.peak_velocity, 2)),
         ("stroke [mm]", lambda row: _number(1e3 * row.peak_displacement, 0)),
     ]  # fmt: skip
