@@ -1,17 +1,13 @@
 """A laboratory's acceptance tests: required and test response spectra, clause by clause."""
 
-from agents.acceptance.clauses import Acceptance, AcceptanceRules, Clause, accept
-from agents.acceptance.matching import compatible_motion
-from agents.acceptance.required import RequiredSpectrum, ac156, ieee_693, read_required_spectrum
+from shake_env.lazy import names_of
 
-__all__ = [
-    "Acceptance",
-    "AcceptanceRules",
-    "Clause",
-    "RequiredSpectrum",
-    "ac156",
-    "accept",
-    "compatible_motion",
-    "ieee_693",
-    "read_required_spectrum",
-]
+__getattr__, __all__ = names_of(
+    __name__,
+    {
+        "clauses": ("Acceptance", "Clause", "accept"),
+        "matching": ("compatible_motion",),
+        "required": ("RequiredSpectrum", "ac156", "ieee_693", "read_required_spectrum"),
+        "rules": ("AcceptanceRules",),
+    },
+)

@@ -12,8 +12,9 @@ import math
 
 import numpy as np
 
-from agents.acceptance.clauses import AcceptanceRules, test_spectrum
+from agents.acceptance.clauses import test_spectrum
 from agents.acceptance.required import FloatArray, RequiredSpectrum
+from agents.acceptance.rules import AcceptanceRules
 from shake_env.errors import ParameterError
 from shake_env.records import Record
 

@@ -44,7 +44,7 @@ COMMANDS = {
         "agents.cli.motion", "Motion", "A recorded motion, and the scale that the table needs."
     ),
     "accept": Command(
-        "agents.cli.accept", "Accept", "A measured motion against a required response spectrum."
+        "agents.cli.motion", "Accept", "A measured motion against a required response spectrum."
     ),
     "scenario": Command(
         "agents.cli.scenario", "ShowScenario", "Every field of a scenario; with --json its file."

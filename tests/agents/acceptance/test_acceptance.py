@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from agents.acceptance.clauses import AcceptanceRules, accept, test_spectrum
+from agents.acceptance.clauses import accept, test_spectrum
 from agents.acceptance.matching import compatible_motion
 from agents.acceptance.required import RequiredSpectrum, ac156, ieee_693, read_required_spectrum
+from agents.acceptance.rules import AcceptanceRules
 from agents.cli.commands import parse
 from agents.evaluation.fidelity import spectrum
 from agents.reporting.acceptance_figure import draw_acceptance
