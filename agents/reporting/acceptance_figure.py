@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from matplotlib.ticker import StrMethodFormatter
+
 from agents.acceptance.clauses import Acceptance
 from agents.figure_style import BLACK, CONTROLLERS, GREY, figure_style, new_figure, save_figure
 
@@ -29,6 +31,9 @@ def draw_acceptance(result: Acceptance, folder: Path) -> list[Path]:
             panel.plot(result.frequency, ordinates, markersize=3, linewidth=1.0, label=label, **style)
         panel.set_xscale("log")
         panel.set_yscale("log")
+        for axis in (panel.xaxis, panel.yaxis):
+            axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            axis.set_minor_formatter(StrMethodFormatter("{x:g}"))
         panel.set_xlabel(f"frequency [Hz], damping {100 * result.required.damping:g} %")
         panel.set_ylabel("response [m/s²]")
         panel.set_title(f"{result.required.name}: {'pass' if result.passed else 'FAIL'}")
