@@ -170,11 +170,8 @@ def ground_filter(ground: GroundFilter) -> StateSpace:
 def specimen_plant(specimen: Specimen) -> StateSpace:
     """Return the specimen from the acceleration of its base to its base shear f_s (eqs. 6 to 8)."""
     n, batch = specimen.stories, np.shape(specimen.masses)[:-1]
-    A, B, C = (
-        np.zeros((*batch, 2 * n, 2 * n)),
-        np.zeros((*batch, 2 * n, 1)),
-        np.zeros((*batch, 1, 2 * n)),
-    )
+    A, B = np.zeros((*batch, 2 * n, 2 * n)), np.zeros((*batch, 2 * n, 1))
+    C = np.zeros((*batch, 1, 2 * n))
     A[..., :n, n:] = np.eye(n)
     K, damping = specimen.stiffness_matrix, specimen.damping_matrix
     if specimen.coupled:
@@ -392,12 +389,8 @@ class CoupledPlant:
     @property
     def _undamped(self) -> FloatArray:
         """State matrix (4 + 2 stories, ...) of table and specimen without damping, scaled."""
-        undamped = CoupledPlant(
-            replace(self.actuator, table_damping=0.0, leakage=0.0),
-            self.specimen.undamped,
-            self.ground,
-            self.equations,
-        )
+        actuator = replace(self.actuator, table_damping=0.0, leakage=0.0)
+        undamped = CoupledPlant(actuator, self.specimen.undamped, self.ground, self.equations)
         layout = undamped.layout
         keep = np.r_[layout.controlled]
         A = undamped.coupled.A[np.ix_(keep, keep)]
