@@ -31,6 +31,9 @@ class ScenarioOptions:
     """The scenario, and what to change about it (unset: the scenario's own value)."""
 
     scenario: Annotated[str, tyro.conf.arg(help=SCENARIO_HELP)] = "linear"
+    table: str | None = None
+    """Name of another table (shake list tables); limits, amplitudes and sensors follow from it. Its
+    friction, valve and limits are in the scenario laboratory."""
     stories: int | None = None
     """Number of storeys of the specimen."""
     mass_ratio: float | None = None

@@ -35,8 +35,31 @@ from shake_env.scenario.json_schema import scenario_schema  # noqa: E402
 from shake_env.scenario.scenario import Scenario  # noqa: E402
 from shake_env.scenario.scenario_file import flattened  # noqa: E402
 from shake_env.scenario.scenario_writer import SCHEMA_FILE  # noqa: E402
+from shake_env.scenario.tables import TABLE_NAMES, named_table  # noqa: E402
 
 NOTE = "<!-- Made by docs/generate.py from the code. -->\n"
+TABLES_INTRODUCTION = """\
+`shake compare --table NAME`, or `make_scenario("laboratory", {"table": "NAME"})`, exchanges the
+table of a scenario. Actuator, input and its unit, control rate, physics step and the weight of the
+input are the new table's, and the specimen keeps its mass ratio. In a scenario with limits, these,
+stops, friction, valve, delay, sensors and the amplitude of the motion follow from the table's
+facts: the filtered noise has the largest amplitude whose peaks (4.6 times the rms) stay within
+stroke, velocity and force, and a record is scaled to them.
+
+A number has either a source, named below it, or the reason why it is assumed. The policies that
+ship were trained for `gavin-hoagg-2009`; another table refuses them.
+"""
+TABLES_LEFT_OUT = """\
+## Not here: the 2020 benchmark of real-time hybrid simulation
+
+The transfer system of Silva et al. is one actuator on an experimental frame. Its equations are
+those of the actuator here: a second-order valve (`nonlinearity.valve.natural_frequency` and
+`damping_ratio` from b1 and b2), a leaking oil column (a3), the piston's flow (a2, the oil
+stiffness) and the product a1 b0 of the gains. What it is not is a shake table: no platen carries a
+specimen whose base it accelerates, the frame's mass and stiffness are part of the tested structure,
+and its objective is to follow a displacement with a known delay. Base shear, target acceleration
+and limits of this project would have to be invented for it, so it has no name here.
+"""
 PACKAGES = {
     "shake_env": "Physics and the Gymnasium environment: numpy, SciPy, Gymnasium, array-api-compat.",
     "baselines": "Classical controllers, each a `Controller`.",
@@ -161,6 +184,37 @@ def ranges() -> str:
         for field, allowed in fields_of.items()
     ]
     return table(("parameter", "range"), rows)
+
+
+def tables() -> str:
+    """Return the page of tables by name: every number with its source or the reason it is assumed."""
+    lines = ["# Tables by name", "", NOTE, TABLES_INTRODUCTION]
+    for name in TABLE_NAMES:
+        one = named_table(name)
+        lines += [
+            f"## {name}",
+            "",
+            f"{one.title[:1].upper()}{one.title[1:]}; input in {one.input_unit}.",
+            "",
+        ]
+        lines += [f"- *{key}*: {text}." for key, text in one.references.items()]
+        facts = [
+            (
+                f"`{key}`",
+                f"{fact.value:.6g} {fact.unit}",
+                f"*{fact.source}*" if fact.source else "assumed",
+                fact.assumption or fact.note,
+            )
+            for key, fact in one.facts.items()
+        ]
+        published = [
+            (f"`{key}`", f"{each.value:.6g} {each.unit}", f"*{each.source}*", each.note)
+            for key, each in one.published.items()
+        ]
+        lines += ["", table(("fact", "value", "source", "reason or note"), facts), ""]
+        lines += ["Published figures that follow from these:", ""]
+        lines += [table(("figure", "value", "source", "note"), published), ""]
+    return "\n".join([*lines, TABLES_LEFT_OUT])
 
 
 def suits(name: str, scenario: Scenario) -> bool:
@@ -352,6 +406,7 @@ def pages() -> dict[Path, str]:
     """Return every generated page by its path."""
     made = {
         DOCS / "reference" / "scenarios.md": scenarios(),
+        DOCS / "reference" / "tables.md": tables(),
         DOCS / "reference" / "controllers.md": controllers(),
         DOCS / "reference" / "columns.md": columns(),
         DOCS / "reference" / "command-line.md": command_line(),

@@ -18,6 +18,7 @@ ROOMS = """
     agents/experiments agents/studies
     agents/motions
     agents/reporting
+    agents/acceptance
     agents/training
     agents/evaluation agents/learning
     agents/policies

@@ -20,12 +20,15 @@ from shake_env.scenario.observation import Sensing
 from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import UNIFORM, Scenario
 from shake_env.scenario.scenario_file import is_scenario_file, read_scenario
+from shake_env.scenario.tables.on_table import on_table
+from shake_env.scenario.tables.table import named_table
 from shake_env.scenario.uncertainty import Uncertainty
 
 
 class Overrides(TypedDict, total=False):
     """What can be changed about a scenario by a word; anything else by its path in ``fields``."""
 
+    table: str
     stories: int
     mass_ratio: float
     storey_frequency: float
@@ -73,6 +76,8 @@ def make_scenario(
         ``"yielding"``, ``"records"``), the path of a scenario file (it ends in ``.toml`` or ``.json``,
         or is an ``os.PathLike``; see `read_scenario`), or a scenario.
     overrides
+        ``table``: the name of another table (`shake_env.scenario.tables.TABLE_NAMES`), with limits,
+        amplitudes and sensors that follow from it (`on_table`), before everything else;
         ``stories``, ``mass_ratio``, ``storey_frequency`` [Hz], ``damping_ratio`` (equal storeys) or
         ``specimen``; ``equations`` ("corrected", "as_printed" or a value); ``physics_step`` [s],
         ``control_rate`` [Hz]; ``acceleration_weight``, ``force_weight``, ``current_weight`` or
@@ -103,6 +108,8 @@ def make_scenario(
     for name in given:
         if name not in Overrides.__annotations__:
             raise unknown(ScenarioError, "scenario option", name, Overrides.__annotations__)
+    if "table" in given:
+        scenario = on_table(scenario, named_table(given["table"]))
     changes: dict[str, Any] = {name: given[name] for name in _DIRECT if name in given}
     _exclusive(given, "specimen", UNIFORM)
     _exclusive(given, "objective", _WEIGHTS)
