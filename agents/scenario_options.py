@@ -14,10 +14,15 @@ from shake_env.errors import ScenarioError
 from shake_env.scenario.overrides import Overrides, make_scenario
 from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import Scenario
-from shake_env.scenario.scenario_file import read_scenario, scenario_fields, scenario_of
+from shake_env.scenario.scenario_file import (
+    is_scenario_file,
+    read_scenario,
+    scenario_fields,
+    scenario_of,
+)
 
 SCENARIO_HELP = (
-    f"Name of the scenario ({', '.join(NAMED)}), or a JSON file that shake show-scenario --json printed."
+    f"Name of the scenario ({', '.join(NAMED)}), or a file that shake show-scenario --write wrote."
 )
 
 
@@ -26,6 +31,9 @@ class ScenarioOptions:
     """The scenario, and what to change about it (unset: the scenario's own value)."""
 
     scenario: Annotated[str, tyro.conf.arg(help=SCENARIO_HELP)] = "linear"
+    table: str | None = None
+    """Name of another table (shake list tables); limits, amplitudes and sensors follow from it. Its
+    friction, valve and limits are in the scenario laboratory."""
     stories: int | None = None
     """Number of storeys of the specimen."""
     mass_ratio: float | None = None
@@ -61,8 +69,8 @@ class ScenarioOptions:
     delay: float | None = None
     """Loop delay [physics steps]."""
     set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """Any other field as PATH=VALUE, in SI: nonlinearity.friction.coulomb=300, sensing.preview=0.2,
-    uncertainty.mass_ratio=[0.1,1]; may be given again."""
+    """Any other field as PATH=VALUE, in SI or with a unit: nonlinearity.friction.coulomb=300,
+    "limits.table_displacement=70 mm", uncertainty.mass_ratio=[0.1,1]; may be given again."""
     values: tyro.conf.Suppress[dict[str, Any] | None] = None
     """Every field of a scenario that came from a file, in place of its name; see `without_file`."""
 
@@ -89,7 +97,7 @@ class ScenarioOptions:
         What is kept for later, such as the configuration of a training run, must not depend on a file
         that may change or move.
         """
-        if self.values is not None or not self.scenario.endswith(".json"):
+        if self.values is not None or not is_scenario_file(self.scenario):
             return self
         scenario = read_scenario(self.scenario)
         return replace(self, scenario=scenario.name, values=scenario_fields(scenario))

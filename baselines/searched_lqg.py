@@ -17,7 +17,6 @@ from baselines.estimation.estimator_model import ModelError
 from baselines.estimation.lqg import estimated
 from baselines.lqr.preview import PreviewFeedback, preview_lqr
 from shake_env.controller import Controller
-from shake_env.model.parameters import Specimen
 from shake_env.scenario.scenario import Scenario
 
 LQG_SEARCHED, LQG_SEARCHED_FORCE = "lqg-searched", "lqg-searched-force"
@@ -105,12 +104,8 @@ def searched_design(scenario: Scenario, **values: float) -> Controller:
 
     def make(full: Scenario) -> Controller:
         mass, frequency = values["mass_scale"], values["frequency_scale"]
-        specimen = full.specimen
-        other = Specimen(
-            masses=tuple(mass * m for m in specimen.masses),
-            stiffnesses=tuple(mass * frequency**2 * k for k in specimen.stiffnesses),
-            dampings=tuple(mass * frequency * values["damping_scale"] * c for c in specimen.dampings),
-        )
+        damping = values["damping_scale"]
+        other = full.specimen.scaled(mass=mass, frequency=frequency, damping=damping)
         design_scenario = replace(full, specimen=other)
         cost = design_scenario.stage_cost
         cost = replace(

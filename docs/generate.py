@@ -8,10 +8,8 @@ A test holds the pages against what this would write, so that they cannot fall b
 from __future__ import annotations
 
 import ast
-import inspect
 import json
 import math
-import re
 import sys
 from dataclasses import fields
 from pathlib import Path
@@ -31,10 +29,37 @@ from baselines.registry import reference_name, tuned_parameters  # noqa: E402
 from shake_env import SCENARIO_NAMES, make_scenario  # noqa: E402
 from shake_env.errors import ShakeError  # noqa: E402
 from shake_env.model.ranges import RANGES  # noqa: E402
+from shake_env.scenario.field_table import MISSING, fields_of  # noqa: E402
+from shake_env.scenario.forms import FORMS  # noqa: E402
+from shake_env.scenario.json_schema import scenario_schema  # noqa: E402
 from shake_env.scenario.scenario import Scenario  # noqa: E402
 from shake_env.scenario.scenario_file import flattened  # noqa: E402
+from shake_env.scenario.scenario_writer import SCHEMA_FILE  # noqa: E402
+from shake_env.scenario.tables import TABLE_NAMES, named_table  # noqa: E402
 
 NOTE = "<!-- Made by docs/generate.py from the code. -->\n"
+TABLES_INTRODUCTION = """\
+`shake compare --table NAME`, or `make_scenario("laboratory", {"table": "NAME"})`, exchanges the
+table of a scenario. Actuator, input and its unit, control rate, physics step and the weight of the
+input are the new table's, and the specimen keeps its mass ratio. In a scenario with limits, these,
+stops, friction, valve, delay, sensors and the amplitude of the motion follow from the table's
+facts: the filtered noise has the largest amplitude whose peaks (4.6 times the rms) stay within
+stroke, velocity and force, and a record is scaled to them.
+
+A number has either a source, named below it, or the reason why it is assumed. The policies that
+ship were trained for `gavin-hoagg-2009`; another table refuses them.
+"""
+TABLES_LEFT_OUT = """\
+## Not here: the 2020 benchmark of real-time hybrid simulation
+
+The transfer system of Silva et al. is one actuator on an experimental frame. Its equations are
+those of the actuator here: a second-order valve (`nonlinearity.valve.natural_frequency` and
+`damping_ratio` from b1 and b2), a leaking oil column (a3), the piston's flow (a2, the oil
+stiffness) and the product a1 b0 of the gains. What it is not is a shake table: no platen carries a
+specimen whose base it accelerates, the frame's mass and stiffness are part of the tested structure,
+and its objective is to follow a displacement with a known delay. Base shear, target acceleration
+and limits of this project would have to be invented for it, so it has no name here.
+"""
 PACKAGES = {
     "shake_env": "Physics and the Gymnasium environment: numpy, SciPy, Gymnasium, array-api-compat.",
     "baselines": "Classical controllers, each a `Controller`.",
@@ -73,9 +98,9 @@ def shown(value: object) -> str:
 
 
 def comment(scenario: Scenario, path: str) -> str:
-    """Return unit and meaning of a field: the comment on its own line, or the docstring below it."""
+    """Return unit and meaning of a field, as its dataclass documents it."""
     *owners, name = path.split(".")
-    part: object = scenario
+    part: Any = scenario
     for owner in owners:
         if isinstance(part, tuple):
             part = next(sensor for sensor in part if sensor.signal == owner)
@@ -84,11 +109,7 @@ def comment(scenario: Scenario, path: str) -> str:
         part = getattr(part, attribute)
         if place and isinstance(part, tuple):
             part = part[int(place)]
-    source = inspect.getsource(type(part))
-    pattern = rf"^    {name}: [^#\n]*(?:# *(?P<comment>.+)|\n    \"\"\"(?P<text>[^\"]+)\"\"\")$"
-    found = re.search(pattern, source, re.MULTILINE)
-    text = " ".join((found["comment"] or found["text"]).split()) if found else ""
-    return re.sub(r":\w+:`(\w+)`", r"`\1`", text)  # a docstring's cross-reference is no markdown
+    return next((about.meaning for about in fields_of(type(part)) if about.name == name), "")
 
 
 def scenarios() -> str:
@@ -104,7 +125,8 @@ def scenarios() -> str:
         "# Scenarios, field by field\n",
         NOTE,
         "Every field of a scenario has a path, which `fields={...}` takes in Python and `--set` on the "
-        "command line. `shake show-scenario --scenario NAME` prints the same.\n",
+        "command line, and which a [scenario file](../howto/files.md) writes as `[a.b]` and `c`. "
+        "`shake show-scenario NAME` prints the same.\n",
         "## linear\n",
         "The scenario that others are described against.\n",
         table(("field", "value", "unit, meaning"), rows),
@@ -124,8 +146,27 @@ def scenarios() -> str:
             f"Costs are relative to `{reference_name(scenario)}`.\n",
             table(("field", "value", "in linear", "unit, meaning"), rows),
         ]
+    parts += ["## Forms in files\n", FORMS_NOTE]
+    for kind, forms in FORMS.items():
+        for form, make in forms.items():
+            rows = [
+                (f"`{about.name}`", "needed" if about.default is MISSING else shown(about.default),
+                 about.meaning)
+                for about in fields_of(make)
+            ]  # fmt: skip
+            parts += [
+                f"### {SECTIONS[kind.__name__]}.{form}\n",
+                table(("field", "unset", "meaning"), rows),
+            ]
     parts += ["## Ranges\n", RANGES_NOTE, ranges()]
     return "\n".join(parts)
+
+
+SECTIONS = {"Specimen": "specimen", "RecordedMotion": "motion"}
+FORMS_NOTE = (
+    "A scenario file gives a specimen or a motion by the fields above, or by exactly one of these "
+    "forms, as a table `[specimen.uniform]` or `[motion.file]`.\n"
+)
 
 
 RANGES_NOTE = (
@@ -143,6 +184,37 @@ def ranges() -> str:
         for field, allowed in fields_of.items()
     ]
     return table(("parameter", "range"), rows)
+
+
+def tables() -> str:
+    """Return the page of tables by name: every number with its source or the reason it is assumed."""
+    lines = ["# Tables by name", "", NOTE, TABLES_INTRODUCTION]
+    for name in TABLE_NAMES:
+        one = named_table(name)
+        lines += [
+            f"## {name}",
+            "",
+            f"{one.title[:1].upper()}{one.title[1:]}; input in {one.input_unit}.",
+            "",
+        ]
+        lines += [f"- *{key}*: {text}." for key, text in one.references.items()]
+        facts = [
+            (
+                f"`{key}`",
+                f"{fact.value:.6g} {fact.unit}",
+                f"*{fact.source}*" if fact.source else "assumed",
+                fact.assumption or fact.note,
+            )
+            for key, fact in one.facts.items()
+        ]
+        published = [
+            (f"`{key}`", f"{each.value:.6g} {each.unit}", f"*{each.source}*", each.note)
+            for key, each in one.published.items()
+        ]
+        lines += ["", table(("fact", "value", "source", "reason or note"), facts), ""]
+        lines += ["Published figures that follow from these:", ""]
+        lines += [table(("figure", "value", "source", "note"), published), ""]
+    return "\n".join([*lines, TABLES_LEFT_OUT])
 
 
 def suits(name: str, scenario: Scenario) -> bool:
@@ -218,8 +290,8 @@ def command_line() -> str:
         "standard error what takes time, and where an error was raised. An error in what was asked "
         "returns 2, an interruption 130.\n",
         "Options that change a scenario are common to most commands: `shake COMMAND --help-scenario` "
-        "lists them. Wherever a scenario's name is taken, the path of a JSON file that "
-        "`shake show-scenario --json` printed is taken as well, by Python's `make_scenario`, too.\n",
+        "lists them. Wherever a scenario's name is taken, the path of a "
+        "[scenario file](../howto/files.md) is taken as well; Python's `make_scenario` takes it, too.\n",
         "Without `--output` a folder of results is the next free one of `out/NAME`, `out/NAME-2`, and "
         "so on. A folder that `--output` names must be new or empty, unless `--force` is given. A "
         "file that an option names is replaced.\n",
@@ -334,9 +406,11 @@ def pages() -> dict[Path, str]:
     """Return every generated page by its path."""
     made = {
         DOCS / "reference" / "scenarios.md": scenarios(),
+        DOCS / "reference" / "tables.md": tables(),
         DOCS / "reference" / "controllers.md": controllers(),
         DOCS / "reference" / "columns.md": columns(),
         DOCS / "reference" / "command-line.md": command_line(),
+        ROOT / "shake_env" / "scenario" / SCHEMA_FILE: json.dumps(scenario_schema(), indent=1) + "\n",
         ROOT / "README.md": with_block(ROOT / "README.md", "headline", headline()),
         SB3_GUIDE: with_block(SB3_GUIDE, "sb3 guide", sb3_guide()),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from math import isfinite
 from typing import Any, Unpack
 
@@ -154,7 +155,7 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def __init__(
         self,
-        scenario: str | Scenario = "linear",
+        scenario: str | os.PathLike[str] | Scenario = "linear",
         *,
         render_mode: str | None = None,
         frame_rate: float = FRAME_RATE,

@@ -12,7 +12,7 @@ from shake_env.controller import Controller, decide
 from shake_env.errors import ParameterError
 from shake_env.motion.processing import fit_amplitude
 from shake_env.motion.targets import FilteredNoise, Motion, MotionSet, RecordedMotion
-from shake_env.records import RECORD_NAMES
+from shake_env.records import RECORD_NAMES, Record
 from shake_env.scenario.capacity import scenario_capacity
 from shake_env.scenario.limits import REASONS
 from shake_env.scenario.presets import laboratory_noise
@@ -56,16 +56,19 @@ def record_amplitude(scenario: Scenario) -> float:
 
 
 def recorded_earthquakes(scenario: Scenario) -> list[Earthquake]:
-    """Return the embedded records, prepared as the scenario's own motion is if that is a record.
+    """Return the embedded records, prepared as the scenario's own motion is if that is one of them.
 
-    A scenario of several recorded motions gives those. Where the scenario limits the stroke, a record is
-    scaled until the table can repeat it (`preparation.fit_amplitude`); `Earthquake.motion` says by what.
+    A scenario of several recorded motions, or of a record from a file, gives those. Where the scenario
+    limits the stroke, an embedded record is scaled until the table can repeat it
+    (`preparation.fit_amplitude`); `Earthquake.motion` says by what.
     """
     motion = scenario.motion
     if isinstance(motion, MotionSet):
         return _shaking(
             [Earthquake(m.source.name, m) for m in motion.scaled if isinstance(m, RecordedMotion)]
         )
+    if isinstance(motion, RecordedMotion) and isinstance(motion.record, Record):
+        return _shaking([Earthquake(motion.source.name, motion)])
     limited = scenario.limits.table_displacement is not None
     if not isinstance(motion, RecordedMotion):
         motion = RecordedMotion(record=RECORD_NAMES[0], amplitude=record_amplitude(scenario))

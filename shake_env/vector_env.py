@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any, Unpack
 
 import numpy as np
@@ -63,7 +64,7 @@ class ShakeTableVectorEnv(
     def __init__(
         self,
         num_envs: int = 1,
-        scenario: str | Scenario = "linear",
+        scenario: str | os.PathLike[str] | Scenario = "linear",
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,

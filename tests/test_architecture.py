@@ -18,6 +18,7 @@ ROOMS = """
     agents/experiments agents/studies
     agents/motions
     agents/reporting
+    agents/acceptance
     agents/training
     agents/evaluation agents/learning
     agents/policies
@@ -63,6 +64,7 @@ LIBRARIES = {
     "shake_env/__init__": {"gymnasium"},
     "shake_env/numba_support": {"numba"},
     "shake_env/records": {"numpy", "obspy", "h5py", "openpyxl"},
+    "shake_env/scenario": {"numpy", "array_api_compat", "tomlkit"},
     "shake_env": {"numpy", "scipy", "array_api_compat"},
     "baselines": {"numpy", "scipy", "control", "osqp", "array_api_compat"},
     "agents/policies": {"numpy", "safetensors", "array_api_compat", "onnx", "onnxruntime", "scipy"},

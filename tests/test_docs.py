@@ -14,7 +14,8 @@ import pytest
 from agents.__main__ import main
 from agents.cli.commands import COMMANDS, parse
 from shake_env import make_scenario
-from shake_env.scenario.scenario_file import scenario_fields
+from shake_env.scenario.scenario_file import parse_toml, scenario_fields
+from shake_env.scenario.scenario_writer import write_scenario
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -216,12 +217,29 @@ def test_the_pages_name_every_command():
     assert len(LINES) > 40
 
 
+FILES_PAGE = DOCS / "howto" / "files.md"
+
+
+@pytest.fixture(scope="module")
+def laid_out(tmp_path_factory):
+    """A folder with the files that the pages name: those that a page shows, a record, a scenario."""
+    folder = tmp_path_factory.mktemp("files")
+    for page in PAGES:
+        shown = page.read_text(encoding="utf-8")
+        for name, text in re.findall(r'```toml title="([\w.]+)"\n(.*?)```', shown, re.DOTALL):
+            (folder / name).write_text(text, encoding="utf-8")
+    shutil.copy(RECORD, folder / "CICLC.v1")
+    scenario = make_scenario("laboratory")
+    text = json.dumps({"fields": scenario_fields(scenario)})
+    (folder / "mine.json").write_text(text, encoding="utf-8")
+    write_scenario(scenario, folder / "mine.toml")
+    return folder
+
+
 @pytest.mark.parametrize("words", LINES, ids=lambda words: " ".join(words)[:60])
-def test_every_command_line_is_understood(words, tmp_path, monkeypatch):
+def test_every_command_line_is_understood(words, laid_out, monkeypatch):
     """Parsed by the command line itself; a scenario is built as well, with what --set changes."""
-    monkeypatch.chdir(tmp_path)
-    fields = scenario_fields(make_scenario("laboratory"))
-    Path("mine.json").write_text(json.dumps({"fields": fields}), encoding="utf-8")
+    monkeypatch.chdir(laid_out)
     uppercase = {"NAME": "linear", "CONTROLLER": "tvc", "SCENARIO": "laboratory", "FILE": "x.at2"}
     command = parsed([uppercase.get(word, word) for word in words])
     options = getattr(command, "scenario", None)
@@ -241,13 +259,53 @@ CHEAP = ("design", "scenario", "motion")
 def runnable(words):
     """Whether a line runs here: not with a placeholder, nor on a record that only the reader has."""
     own = words[0] == "motion" and words[1] != "CICLC.v1"
-    return words[0] in CHEAP and "NAME" not in words and not own
+    long = words[0] == "design" and "test.toml" in words  # the slow suite runs it
+    return words[0] in CHEAP and "NAME" not in words and not own and not long
 
 
 @pytest.mark.parametrize("words", [*filter(runnable, LINES)], ids=lambda w: " ".join(w)[:60])
-def test_cheap_commands_run(words, tmp_path, monkeypatch, capsys):
+def test_cheap_commands_run(words, laid_out, tmp_path, monkeypatch, capsys):
+    shutil.copytree(laid_out, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
-    shutil.copy(RECORD, tmp_path / "CICLC.v1")
     quiet = [] if "--json" in words else ["--json"]  # draws no figure
     assert main([*words, *quiet]) == 0
     assert capsys.readouterr().out.startswith("{")
+
+
+# Files of a test
+
+
+def test_the_files_of_the_page_are_the_test_that_it_describes(laid_out):
+    scenario = make_scenario(laid_out / "test.toml")
+    assert scenario.actuator.table_mass == 420.0 and scenario.specimen.stories == 3
+    assert scenario.motion.record.name == "CICLC channel 2 (360 Deg)" and scenario.motion.amplitude < 1.0
+    assert scenario.delay == 3 and scenario.limits.table_displacement == 0.11
+    noise = {sensor.signal: sensor.noise for sensor in scenario.sensing.sensors}
+    assert (
+        noise["table_displacement"] == 5e-5 and noise["load_pressure"] == 21e3
+    )  # the latter of the base
+    for part in ("table", "specimen", "sensors"):
+        assert make_scenario(laid_out / f"{part}.toml").name == part
+
+
+def test_every_other_part_of_a_file_on_the_page_can_be_read(laid_out):
+    page = FILES_PAGE.read_text(encoding="utf-8")
+    texts = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    assert len(texts) >= 2
+    for text in texts:
+        parse_toml(laid_out / "part.toml", f"schema = 1\n{text}")
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_page_on_files_run_as_they_stand(laid_out, tmp_path, monkeypatch, capsys):
+    """A report on a table, a specimen and a record of one's own, without a line of Python."""
+    shutil.copytree(laid_out, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "mine.toml").unlink()
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```sh\n(.*?)```", FILES_PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    for line in "".join(blocks).splitlines():
+        assert main(shlex.split(line)[1:]) == 0, line
+    capsys.readouterr()
+    assert "CICLC channel 2" in (tmp_path / "out" / "report" / "index.html").read_text(encoding="utf-8")
+    assert make_scenario("mine.toml") == make_scenario("laboratory", {"delay": 3.0})
+    assert make_scenario("whole.toml") == make_scenario("laboratory")

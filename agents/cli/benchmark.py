@@ -32,8 +32,8 @@ class Benchmark(CommandOptions):
     """
 
     scenarios: tuple[str, ...] = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
-    """Names of scenarios, or files that shake show-scenario wrote; the result of mine.json is
-    bench_mine.json. The page shows named ones alone."""
+    """Names of scenarios, or their files; the result of mine.toml is bench_mine.json. The page shows
+    named ones alone."""
     controllers: tuple[str, ...] = ("oracle", "all")
     """Names as shake compare takes them; all: every classical controller that suits the scenario."""
     earthquakes: int = 200

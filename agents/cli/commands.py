@@ -43,6 +43,9 @@ COMMANDS = {
     "motion": Command(
         "agents.cli.motion", "Motion", "A recorded motion, and the scale that the table needs."
     ),
+    "accept": Command(
+        "agents.cli.motion", "Accept", "A measured motion against a required response spectrum."
+    ),
     "show-scenario": Command(
         "agents.cli.show_scenario", "ShowScenario", "Every field of a scenario; with --json its file."
     ),

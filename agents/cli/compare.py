@@ -19,6 +19,10 @@ from agents.progress import progress_by_name
 from agents.scenario_options import ScenarioOptions
 from agents.seeds import COMPARISON_SEED
 from shake_env.errors import ParameterError
+from shake_env.scenario.tables import DEFAULT_TABLE
+
+DEFAULT_CONTROLLERS = ("none", "ppo", "apg", "sac")
+CLASSICAL = ("none", "pid", "tvc")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,17 +39,17 @@ class Compare(FolderOptions):
     """
 
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
-    controllers: tuple[str, ...] = ("none", "ppo", "apg", "sac")
-    """Names of classical controllers, all (every one that suits the scenario), policy, analytic
-    and off-policy (those that ship), paths of policy files and run directories, or module:Class and
-    file.py:Class for one of one's own. The reference (LQR, or LQG where signals are measured) always
-    runs."""
+    controllers: tuple[str, ...] = DEFAULT_CONTROLLERS
+    """Names of classical controllers, all (every one that suits the scenario), ppo, apg and sac (the
+    policies that ship), paths of policy files and run directories, or module:Class and file.py:Class
+    for one of one's own. The policies that ship were trained for the default table: on another one the
+    default is none, pid and tvc. The reference (LQR, or LQG where signals are measured) always runs."""
     tuned: Path | None = None
     """File of tuned values that shake tune --output wrote, for a scenario that nothing was tuned on."""
     num_noise_motions: int = 32
     """Number of filtered-noise earthquakes."""
     records: bool = True
-    """Whether the six embedded records are among the earthquakes."""
+    """Whether the six embedded records, or the scenario's own, are among the earthquakes."""
     seed: int = COMPARISON_SEED
     """First seed of the filtered noise."""
     motion: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
@@ -75,6 +79,8 @@ class Compare(FolderOptions):
         if self.num_noise_motions < 0:
             raise ParameterError("num_noise_motions", self.num_noise_motions, "must be at least 0")
         scenario = self.scenario.build()
+        unset = self.controllers == DEFAULT_CONTROLLERS
+        chosen = CLASSICAL if unset and scenario.table != DEFAULT_TABLE else self.controllers
         folder = self.results_folder("compare")
         if self.report is not None:
             output_folder(self.report, self.report, force=self.force, field="report")
@@ -93,7 +99,7 @@ class Compare(FolderOptions):
         with progress_by_name() as on_progress:
             result = compare(
                 scenario,
-                self.controllers,
+                chosen,
                 noise=self.num_noise_motions,
                 records=self.records,
                 seed=self.seed,

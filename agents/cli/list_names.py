@@ -12,12 +12,12 @@ from rich.console import Console
 from agents.cli.command_options import CommandOptions
 from agents.reporting.terminal import print_table
 
-Kind = Literal["scenarios", "controllers", "policies", "records"]
+Kind = Literal["scenarios", "tables", "controllers", "policies", "records"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class List(CommandOptions):
-    """List the names of scenarios, controllers, policies and records, with a line on each.
+    """List the names of scenarios, tables, controllers, policies and records, with a line on each.
 
     Try:
       shake list
@@ -26,7 +26,7 @@ class List(CommandOptions):
     """
 
     kinds: tyro.conf.Positional[tuple[Kind, ...]] = ()
-    """What to list (default: all four)."""
+    """What to list (default: all five)."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Print a table a kind."""
@@ -44,6 +44,20 @@ def scenarios() -> dict[str, str]:
     from shake_env.scenario.presets import NAMED
 
     return {name: _first_sentence(make.__doc__) for name, make in NAMED.items()}
+
+
+def tables() -> dict[str, str]:
+    """Return the tables that have a name, and what each is and can do."""
+    from shake_env.scenario.tables import TABLE_NAMES, named_table
+
+    found = {}
+    for name in TABLE_NAMES:
+        table = named_table(name)
+        found[name] = (
+            f"{table.title}: {table['table_mass']:g} kg, ±{1e3 * table['stroke']:g} mm, "
+            f"{table['velocity']:g} m/s, {1e-3 * table.force:.3g} kN, input in {table.input_unit}"
+        )
+    return found
 
 
 def controllers() -> dict[str, str]:
@@ -76,6 +90,7 @@ def records() -> dict[str, str]:
 
 LISTED: dict[Kind, Callable[[], dict[str, str]]] = {
     "scenarios": scenarios,
+    "tables": tables,
     "controllers": controllers,
     "policies": policies,
     "records": records,

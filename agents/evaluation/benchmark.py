@@ -21,7 +21,8 @@ from baselines.tuned_values import TunedValues
 from shake_env import make_scenario
 from shake_env.errors import FileError, ParameterError
 from shake_env.model.parameters import is_number
-from shake_env.scenario.scenario_file import scenario_fields
+from shake_env.scenario.digest import scenario_digest
+from shake_env.scenario.scenario_file import is_scenario_file
 
 SCENARIOS = ("linear", "laboratory", "unknown-specimen", "yielding", "records")
 CONTROLLERS = (ORACLE, ALL)
@@ -64,7 +65,7 @@ def run_benchmark(
     )
     return {
         "scenario": label(scenario_name),
-        "fields": _file_fields(scenario_name),
+        "scenario_digest": scenario_digest(scenario),
         "version": shake_env.__version__,
         "machine": machine(),
         "seed": None if recorded else TEST_SEED,
@@ -85,18 +86,12 @@ def ranked(found: Comparison) -> list[GroupSummary]:
 
 def label(scenario_name: str) -> str:
     """Return what a scenario's result is called: its name, or that of its file without the ending."""
-    return Path(scenario_name).stem if scenario_name.endswith(".json") else scenario_name
-
-
-def _file_fields(scenario_name: str) -> dict[str, Any] | None:
-    """Return every field of a scenario from a file; None of a named one, which its name stands for."""
-    return scenario_fields(make_scenario(scenario_name)) if scenario_name.endswith(".json") else None
+    return Path(scenario_name).stem if is_scenario_file(scenario_name) else scenario_name
 
 
 def result_file(folder: str | PathLike[str], scenario_name: str) -> Path:
-    """Return the file of a scenario's result."""
-    folder = Path(folder)
-    return folder / f"bench_{label(scenario_name)}.json"
+    """Return the file of the result of a scenario, by its name or its own file."""
+    return Path(folder) / f"bench_{label(scenario_name)}.json"
 
 
 def read_result(file: str | PathLike[str]) -> dict[str, Any]:
@@ -171,8 +166,9 @@ def difference(
     number = known["rows"][0]["earthquakes"]
     if known["scenario"] != label(scenario_name):
         return f"is of {known['scenario']}, not {label(scenario_name)}"
-    if known.get("fields") != _file_fields(scenario_name):
-        return f"is of another scenario that is called {label(scenario_name)}, too"
+    digest = scenario_digest(make_scenario(scenario_name))
+    if is_scenario_file(scenario_name) and known.get("scenario_digest") != digest:
+        return f"is of another content of {scenario_name}"
     if known["seed"] is not None and number != asked:
         return f"was made with {number} earthquakes, not {asked}"
     before = known.get("controllers", list(CONTROLLERS))

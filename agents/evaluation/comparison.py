@@ -14,6 +14,7 @@ from agents.evaluation.controller_set import get_controllers, require_names
 from agents.evaluation.fidelity import Fidelity, fidelity
 from agents.evaluation.latency import decision_time
 from agents.evaluation.results import Comparison, GroupSummary
+from agents.evaluation.tracking import TrackingFigures, tracking_figures
 from agents.policies.registry import ORACLE, find_controller, get_driven
 from agents.run_directory import described
 from agents.seeds import COMPARISON_SEED
@@ -106,6 +107,7 @@ def compare(
         driven[ORACLE], controllers[ORACLE] = get_driven(ORACLE, scenario, earthquakes)
     episodes: dict[str, list[EpisodeMetrics]] = {}
     fidelities: dict[str, list[Fidelity]] = {}
+    tracking: dict[str, list[TrackingFigures]] = {}
     latency: dict[str, float] = {}
     shares: dict[str, float] = {}
     traces: dict[str, Trajectory] = {}
@@ -125,6 +127,7 @@ def compare(
         step, stories = scenario.physics_step, scenario.specimen.stories
         on_histories(name, [(quake, found[i]) for i, quake in enumerate(earthquakes)])
         fidelities[name] = [fidelity(found[i], step, stories) for i in range(len(earthquakes))]
+        tracking[name] = [tracking_figures(found[i], step) for i in range(len(earthquakes))]
         # What is made for each lane's own earthquake or plant has no decision for one table to time.
         untimed = find_controller(name).needs_earthquakes
         latency[name] = float("nan") if untimed else decision_time(controller, scenario)
@@ -147,7 +150,7 @@ def compare(
     of_each = [group for group, members in groups.items() for _ in members]
     return Comparison(
         summaries, episodes, fidelities, traces, reference, name, chosen.skipped, shares, of_each,
-        chosen.values, [*chosen.warnings, *repeats(earthquakes)],
+        chosen.values, [*chosen.warnings, *repeats(earthquakes)], tracking,
     )  # fmt: skip
 
 

@@ -63,26 +63,28 @@ def fidelity(trajectory: Trajectory, physics_step: float, stories: int) -> Fidel
     )
 
 
-def spectrum(acceleration: FloatArray, step: float, periods: FloatArray = PERIODS) -> FloatArray:
+def spectrum(
+    acceleration: FloatArray, step: float, periods: FloatArray = PERIODS, damping: float = DAMPING
+) -> FloatArray:
     """Return the pseudo-acceleration response spectrum (periods,) [m/s^2] of a motion (samples,).
 
     Each oscillator is stepped exactly for straight lines between samples (Nigam and Jennings, 1969), as
     a recursive filter: eqsig's own steps take a second a motion, and a comparison has thousands.
     """
     response = np.empty(len(periods))
-    for i, (numerator, denominator, stiffness) in enumerate(_oscillators(step, tuple(periods))):
+    for i, (numerator, denominator, stiffness) in enumerate(_oscillators(step, tuple(periods), damping)):
         response[i] = stiffness * np.max(np.abs(lfilter(numerator, denominator, acceleration)))
     return response
 
 
 @lru_cache(maxsize=8)
 def _oscillators(
-    step: float, periods: tuple[float, ...]
+    step: float, periods: tuple[float, ...], damping: float
 ) -> tuple[tuple[FloatArray, FloatArray, float], ...]:
     filters = []
     for period in periods:
         omega = 2.0 * np.pi / period
-        continuous = ([-1.0], [1.0, 2.0 * DAMPING * omega, omega**2])
+        continuous = ([-1.0], [1.0, 2.0 * damping * omega, omega**2])
         numerator, denominator, _ = cont2discrete(continuous, step, method="foh")
         filters.append((np.ravel(numerator), denominator, omega**2))
     return tuple(filters)

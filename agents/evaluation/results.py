@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import shake_env
 from agents.evaluation.controller_set import describe_values, values_to_json
 from agents.evaluation.fidelity import Fidelity
+from agents.evaluation.tracking import BANDS, TrackingFigures
 from baselines.registry import ParameterValues
 from shake_env.errors import ParameterError
 from shake_env.simulation.metrics import EpisodeMetrics
@@ -153,6 +154,7 @@ class Comparison:
     groups: list[str]  # of each earthquake, in their order
     values: dict[str, ParameterValues] = field(default_factory=dict)  # by controller, with their source
     warnings: list[str] = field(default_factory=list)  # policies far from what they were trained on
+    tracking: dict[str, list[TrackingFigures]] = field(default_factory=dict)  # as `fidelities`
 
     def to_json(self, settings: dict[str, Any]) -> dict[str, Any]:
         """Return everything but the traces as plain JSON values."""
@@ -166,6 +168,12 @@ class Comparison:
                     for m, f in zip(rows, self.fidelities[name], strict=True)
                 ]
                 for name, rows in self.episodes.items()
+            },
+            "tracking": {
+                "bands": BANDS,
+                "controllers": {
+                    name: [figures.to_json() for figures in rows] for name, rows in self.tracking.items()
+                },
             },
             "reference": self.reference,
             "traced": self.traced,

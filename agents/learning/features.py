@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from baselines.estimation.estimator_model import DISTURBANCES
-from baselines.lqr.sampled import observable_states
+from baselines.lqr.design_states import observable_states
 from shake_env.model.parameters import FloatArray
 from shake_env.model.plant import LOAD_PRESSURE, REFERENCE_CURRENT, SPOOL_POSITION, TABLE_VELOCITY
 from shake_env.motion.targets import FilteredNoise

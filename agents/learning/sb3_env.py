@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Any, Protocol, Unpack, cast
 
@@ -62,7 +63,7 @@ class VecTrackingFeatures(VecEnvWrapper):
 
 
 def make_sb3_env(  # type: ignore[misc]  # `duration` is the episode's, and no override here
-    scenario: str | Scenario = "linear",
+    scenario: str | os.PathLike[str] | Scenario = "linear",
     num_envs: int = 64,
     *,
     gamma: float = GAMMA,
@@ -148,7 +149,11 @@ class SB3Controller:
     """
 
     def __init__(
-        self, model: PredictsLikeSB3, scenario: str | Scenario = "linear", *, action_scale: float = 1.0
+        self,
+        model: PredictsLikeSB3,
+        scenario: str | os.PathLike[str] | Scenario = "linear",
+        *,
+        action_scale: float = 1.0,
     ) -> None:
         self.model = model
         self.action_scale = checked_action_scale(action_scale)
@@ -199,7 +204,7 @@ class CostComparison:
 
 def compare_with_reference(
     model: PredictsLikeSB3,
-    scenario: str | Scenario = "linear",
+    scenario: str | os.PathLike[str] | Scenario = "linear",
     *,
     action_scale: float = 1.0,
     earthquakes: int = 32,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import replace
 
 import gymnasium
@@ -21,7 +22,7 @@ STATE_LIMIT = 12.0  # [-] multiples of a state's rms
 
 
 def make_training_scenario(
-    scenario: str | Scenario = "linear",
+    scenario: str | os.PathLike[str] | Scenario = "linear",
     overrides: Overrides | None = None,
     *,
     horizon: float = HORIZON,
@@ -106,7 +107,7 @@ def checked_action_scale(value: float) -> float:
     return float(value)
 
 
-def scenario_of(scenario: str | Scenario) -> str | Scenario:
+def scenario_of(scenario: str | os.PathLike[str] | Scenario) -> str | os.PathLike[str] | Scenario:
     """Return the scenario that a Gymnasium id stands for; a name or a scenario as it is."""
     if not isinstance(scenario, str):
         return scenario

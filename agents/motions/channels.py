@@ -34,7 +34,7 @@ class MotionOptions:
     """The one column to take: its title, or its number in the file from 1 on."""
     allow_large: bool = False
     """Accept a peak above 3 g where --units gave the unit."""
-    table: str | None = None
+    sheet: str | None = None
     """Variable of a .mat file or sheet of a workbook, where it holds several."""
     allow_seismometers: bool = False
     """Read channels of seismometers (HHE, BHN, EHZ) whose samples are accelerations all the same."""
@@ -69,7 +69,7 @@ class MotionOptions:
             sampling_interval=self.sampling_interval,
             column=self.column,
             allow_large=self.allow_large,
-            table=self.table,
+            table=self.sheet,
             allow_seismometers=self.allow_seismometers,
         )
         for record in records:

@@ -26,6 +26,7 @@ from shake_env.errors import PolicyFileError
 from shake_env.files import no_file, write_bytes
 from shake_env.scenario.limits import OBSERVATION_BOUND
 from shake_env.scenario.scenario import Scenario
+from shake_env.scenario.tables import DEFAULT_TABLE
 
 FORMAT = "shake-policy-1"
 _REMEDY = "give a policy file written by 'shake train' (policy.safetensors)"
@@ -157,7 +158,14 @@ class PolicyFile:
                 start = np.zeros(3, dtype=bool)
 
     def check(self, scenario: Scenario) -> None:
-        """Raise PolicyFileError unless the policy was made for this observation and control rate."""
+        """Raise PolicyFileError unless the policy was made for this table, observation and rate."""
+        table = self.card.get("table", DEFAULT_TABLE)
+        _require(
+            table == scenario.table,
+            "table",
+            table,
+            f"is what the policy was trained for; the scenario's is {scenario.table}: train one for it",
+        )
         size, rate = scenario.observation.size, scenario.control_rate
         _require(
             self.observation_size == size,

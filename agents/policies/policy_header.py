@@ -15,8 +15,8 @@ _REMEDY = "give a policy file written by 'shake train' (policy.safetensors)"
 # Card fields that the program reads, with the type of each. Others may be there: they are not read.
 TEXT, NUMBER, MAPPING = "text", "a finite number", "a mapping"
 CARD = {
-    "command": TEXT, "version": TEXT, "control_rate": NUMBER, "config": MAPPING, "evaluation": MAPPING,
-    "first": MAPPING,
+    "command": TEXT, "version": TEXT, "table": TEXT, "control_rate": NUMBER, "config": MAPPING,
+    "evaluation": MAPPING, "first": MAPPING,
 }  # fmt: skip
 CONFIG = {"algorithm": TEXT, "seed": NUMBER, "scenario": MAPPING}
 EVALUATION = dict.fromkeys(

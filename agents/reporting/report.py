@@ -174,6 +174,8 @@ def channels(scenario: Scenario) -> tuple[Channel, ...]:
     if pressure is None and np.isfinite(valve.supply_pressure):
         pressure = valve.supply_pressure
     stroke = limits.table_displacement
+    unit = scenario.input_unit
+    drive = ("valve current" if unit == "A" else "input", f"m{unit}")
 
     def scaled(value: float | None, factor: float) -> float | None:
         return None if value is None else factor * value
@@ -181,7 +183,7 @@ def channels(scenario: Scenario) -> tuple[Channel, ...]:
     return (
         Channel("acceleration", "table acceleration", "m/s²", limits.table_acceleration, targeted=True),
         Channel("shear", "base shear", "kN", targeted=True),
-        Channel("current", "valve current", "mA", 1e3 * scenario.current_limit),
+        Channel("current", *drive, 1e3 * scenario.current_limit),
         Channel("pressure", "load pressure", "MPa", scaled(pressure, 1e-6)),
         Channel("stroke", "stroke", "mm", scaled(stroke, 1e3)),
     )

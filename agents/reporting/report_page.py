@@ -26,6 +26,7 @@ from agents.policies.registry import ORACLE
 from agents.reporting.report import Report
 from agents.reporting.report_data import page_data
 from agents.reporting.report_figures import stills
+from agents.reporting.report_tracking import TRACKING_COLUMNS, tracking_rows
 from agents.reporting.robustness_figures import figures
 from agents.reporting.robustness_tables import findings, label
 from shake_env.files import write_text
@@ -72,6 +73,8 @@ def page(report: Report, stills: Sequence[str]) -> str:
         comparison=comparison,
         groups=groups,
         error=error,
+        tracking_columns=TRACKING_COLUMNS,
+        tracking=tracking_rows(comparison.tracking, groups[report.verdict.group]),
         data=page_data(report),
         setting=_setting(report),
         changed=None if report.unlike is None else _robustness(report.unlike),

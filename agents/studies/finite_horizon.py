@@ -17,7 +17,6 @@ from agents.training.config import TrainConfig
 from baselines.lqr.sampled import ScaledProblem, riccati, sampled_lqr, stationary_performance
 from shake_env.errors import NumericalError
 from shake_env.model.parameters import FloatArray
-from shake_env.model.plant import REFERENCE_CURRENT
 from shake_env.scenario.scenario import Scenario
 
 ROUNDS = 200
@@ -112,7 +111,5 @@ def _problem(scenario: Scenario) -> tuple[ScaledProblem, tuple[FloatArray, Float
 
 
 def _ratio(scenario: Scenario, p: ScaledProblem, K: FloatArray) -> float:
-    gain = np.zeros(scenario.plant.layout.order)
-    gain[p.kept] = K[0] * REFERENCE_CURRENT / p.scale
-    cost = stationary_performance(scenario.discrete, scenario.stage_cost, gain).cost
+    cost = stationary_performance(scenario.discrete, scenario.stage_cost, p.gain(K)).cost
     return cost / sampled_lqr(scenario.discrete, scenario.stage_cost).analytic_cost

@@ -60,7 +60,11 @@ class TrainingWatch(BaseCallback):
         self.passed = -1  # number of the last evaluation that was due
         self.cost_ratio: float | None = None
         self.evaluations = [ratio for _, ratio in evaluations(run)]
-        self.card = {"control_rate": scenario.control_rate, "config": config.to_json()}
+        self.card = {
+            "table": scenario.table,
+            "control_rate": scenario.control_rate,
+            "config": config.to_json(),
+        }
         self.errors: tuple[float, float] | None = None
 
     def _due(self, steps: int) -> int:

@@ -17,7 +17,7 @@ from scipy.linalg import expm, matrix_balance
 
 from baselines.analysis.h2 import ComplexArray
 from baselines.lqr.continuous import SteadyCoordinates
-from baselines.lqr.sampled import observable_states
+from baselines.lqr.design_states import DesignStates
 from shake_env.errors import NumericalError, ParameterError
 from shake_env.model.parameters import FloatArray, GroundFilter
 from shake_env.model.plant import (
@@ -93,8 +93,8 @@ def closed_loop(plant: CoupledPlant, gain: FloatArray) -> ContinuousClosedLoop:
     layout = plant.layout
     if gain.shape != (layout.order,):
         raise ParameterError("gain shape", gain.shape, f"must be ({layout.order},)")
-    keep = observable_states(plant)
-    if np.any(np.delete(gain, keep)):
+    keep = DesignStates.of_law(plant, gain).kept
+    if len(keep) == layout.order and plant.actuator.table_stiffness == 0.0:
         raise ParameterError("gain", gain, "feeds back the position, which is left out here")
     xi = SteadyCoordinates.of(plant)
     shifted = xi.shifted_gain(gain)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov
 
 from baselines.lqr.continuous import POSITION_TIME, SteadyCoordinates
-from baselines.lqr.sampled import IntArray, observable_states
+from baselines.lqr.design_states import DesignStates
 from shake_env.errors import NumericalError, ParameterError
 from shake_env.model.parameters import FloatArray
 from shake_env.model.plant import CoupledPlant
@@ -42,7 +42,8 @@ def h2_lyapunov(plant: CoupledPlant, gain: FloatArray) -> TrackingNorms:
     plant
         The coupled plant; ``equations`` chooses the corrected or the printed model.
     gain
-        (n,) [A per SI unit of each state]. A position that nothing sees is left out where its gain is 0.
+        (n,) [A per SI unit of each state]. What the law ignores of a table that stands
+        displaced is left out (`DesignStates`).
 
     Notes
     -----
@@ -58,7 +59,7 @@ def h2_lyapunov(plant: CoupledPlant, gain: FloatArray) -> TrackingNorms:
     NumericalError
         If the closed loop is not stable.
     """
-    keep = _states(plant, gain)
+    keep = _states(plant, gain).kept
     # The same unit of x_a as in the design, where the gain on it is sqrt(lambda) / r.
     stiffness = abs(float(gain[plant.layout.table_displacement]))
     xi = SteadyCoordinates.of(plant, 1.0 / max(stiffness, 1.0 / POSITION_TIME))
@@ -113,23 +114,23 @@ def tracking_response(plant: CoupledPlant, gain: FloatArray, omega: FloatArray) 
     return _response(*_closed_loop(plant, gain), np.asarray(omega, dtype=float))
 
 
-def _states(plant: CoupledPlant, gain: FloatArray) -> IntArray:
-    """Return the states of the closed loop: the observable ones, or all if the law uses the position."""
+def _states(plant: CoupledPlant, gain: FloatArray) -> DesignStates:
+    """Return the states of the closed loop."""
     n = plant.layout.order
     if gain.shape != (n,):
         raise ParameterError("gain shape", gain.shape, f"must be ({n},)")
-    observable = observable_states(plant)
-    return np.arange(n) if np.any(np.delete(gain, observable)) else observable
+    return DesignStates.of_law(plant, gain)
 
 
 def _closed_loop(plant: CoupledPlant, gain: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return A - B K, the noise column and the error rows on scaled physical states."""
-    keep = _states(plant, gain)
+    states = _states(plant, gain)
+    keep = states.kept
     model, scale = plant.coupled, plant.state_scale[keep]
     closed = model.A - np.outer(model.B[:, 0], gain)
     E = np.stack([model.C[0] - model.C[2], model.C[1] - model.C[3]])
-    A = closed[np.ix_(keep, keep)] * scale / scale[:, None]
-    return A, model.B[keep, 1] / scale, E[:, keep] * scale
+    A = states.rows(closed)[:, keep] * scale / scale[:, None]
+    return A, states.rows(model.B)[:, 1] / scale, E[:, keep] * scale
 
 
 def _response(A: FloatArray, b: FloatArray, E: FloatArray, omega: FloatArray) -> ComplexArray:

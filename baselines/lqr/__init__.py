@@ -10,6 +10,10 @@ __getattr__, __all__ = names_of(
             "continuous_lqr",
             "printed_added_weight",
         ),
+        "design_states": (
+            "DesignStates",
+            "observable_states",
+        ),
         "feedforward": ("FeedforwardLQR",),
         "h_infinity": ("robust_feedback",),
         "integral": (
@@ -35,7 +39,6 @@ __getattr__, __all__ = names_of(
             "ScaledProblem",
             "action_row",
             "lqr",
-            "observable_states",
             "riccati",
             "sampled_lqr",
             "stationary_performance",

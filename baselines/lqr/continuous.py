@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov, solve_sylvester
 
-from baselines.lqr.sampled import IntArray, observable_states
+from baselines.lqr.design_states import DesignStates, IntArray
 from shake_env.errors import NumericalError, ParameterError
 from shake_env.model.parameters import FloatArray, require_non_negative, require_positive
-from shake_env.model.plant import CoupledPlant
+from shake_env.model.plant import LOAD_PRESSURE, CoupledPlant
 
 POSITION_TIME = 1000.0
 """[s] Unit of x_a over that of v_a, in the arithmetic only. With x_a in metres, the double integrator
@@ -64,9 +64,11 @@ class SteadyCoordinates:
         n, velocity = layout.order, layout.table_displacement + 1
         transform, holding, scale = np.eye(n), np.zeros(n), plant.state_scale.copy()
         transform[layout.specimen, layout.reference] = np.eye(2 * layout.stories)
-        steady = plant.actuator.table_stiffness == 0.0  # a spring on the table ends the steady motion
+        displaced = DesignStates.of(plant).left_out
+        steady = bool(np.any(displaced))  # a stiffness beside leakage ends the steady motion
         if steady:
-            transform[:, velocity], holding[velocity] = _steady_velocity(plant)
+            transform[:, layout.table_displacement] = displaced
+            transform[:, velocity], holding[velocity] = _steady_velocity(plant, displaced)
             scale[layout.table_displacement] = position_time * scale[velocity]
         inverse = np.linalg.inv(transform)
         A = inverse @ (model.A @ transform + np.outer(model.B[:, 0], holding))
@@ -76,12 +78,13 @@ class SteadyCoordinates:
             rate, errors = A[:, velocity].copy(), E[:, velocity] * scale[velocity]
             rate[layout.table_displacement] -= 1.0
             remainder = float(np.max(np.abs(np.append(rate * scale[velocity] / scale, errors))))
-            if not remainder <= 1e-8:
+            if remainder <= 1e-8:
+                A[:, velocity], E[:, velocity] = 0.0, 0.0
+                A[layout.table_displacement, velocity] = 1.0
+            elif plant.actuator.table_stiffness == 0.0:
                 raise NumericalError(
                     "steady velocity", remainder, "does not satisfy the plant's equations"
                 )
-            A[:, velocity], E[:, velocity] = 0.0, 0.0
-            A[layout.table_displacement, velocity] = 1.0
         return cls(
             transform=transform * scale,
             holding=holding * scale,
@@ -100,14 +103,20 @@ class SteadyCoordinates:
         return np.asarray(np.linalg.solve(self.transform.T, shifted - self.holding), dtype=np.float64)
 
 
-def _steady_velocity(plant: CoupledPlant) -> tuple[FloatArray, float]:
-    """Return the state (n,) that moves at a steady 1 m/s, and the current that holds it [A]."""
+def _steady_velocity(plant: CoupledPlant, displaced: FloatArray) -> tuple[FloatArray, float]:
+    """Return the state (n,) that moves at a steady 1 m/s, and the current that holds it [A].
+
+    With a stiffness the pressure rises with the displacement, at that of `displaced`, (n,) at 1 m.
+    """
     model, layout, scale = plant.coupled, plant.layout, plant.state_scale
     velocity = layout.table_displacement + 1
     rows = np.setdiff1d(np.arange(layout.order)[layout.controlled], layout.table_displacement)
     unknown = np.setdiff1d(rows, velocity)
     matrix = np.column_stack([model.A[np.ix_(rows, unknown)] * scale[unknown], model.B[rows, 0]])
-    solution = np.linalg.solve(matrix / scale[rows, None], -model.A[rows, velocity] / scale[rows])
+    rise = np.where(rows == layout.actuator.start + LOAD_PRESSURE, displaced[rows], 0.0)
+    solution = np.linalg.solve(
+        matrix / scale[rows, None], (rise - model.A[rows, velocity]) / scale[rows]
+    )
     state = np.zeros(layout.order)
     state[unknown] = solution[:-1] * scale[unknown]
     state[layout.specimen] = 0.0  # no acceleration, no deformation: what came out is rounding
@@ -158,8 +167,8 @@ def continuous_lqr(
     q_1, q_2, r
         Weights of eq. 12 on y_A - y~ [m/s^2], f_s - f~_s [N] and u [A].
     added_weight
-        Zero is the sound design: nothing added, and an unobservable position left out of the problem
-        (`observable_states`). Above zero, all states are weighted, the position among them (from
+        Zero is the sound design: nothing added, and a table that stands displaced left out of the
+        problem (`DesignStates`). Above zero, all states are weighted, the position among them (from
         `LEAST_WEIGHT` on).
 
     Notes
@@ -181,7 +190,7 @@ def continuous_lqr(
     layout = plant.layout
     # The slow pole grows as sqrt(lambda), and with it the largest unit of x_a that separates the two.
     xi = SteadyCoordinates.of(plant, min(POSITION_TIME, 1.0 / np.sqrt(max(added_weight, LEAST_WEIGHT))))
-    states = np.arange(layout.order) if added_weight >= LEAST_WEIGHT else observable_states(plant)
+    states = DesignStates.of(plant, whole=added_weight >= LEAST_WEIGHT).kept
     controlled = np.intersect1d(states, np.arange(layout.order)[layout.controlled])
     given = np.setdiff1d(states, controlled)
     W = np.array([[q_1], [q_2]]) * xi.E
@@ -203,7 +212,8 @@ def continuous_lqr(
     shifted[controlled] = K[0] / r
     shifted[given] = (b.T @ Y + cross[None, given])[0] / r
     gain = xi.physical_gain(shifted)
-    gain[_left_out(states, layout.order)] = 0.0
+    if plant.actuator.table_stiffness == 0.0:
+        gain[_left_out(states, layout.order)] = 0.0
     return ContinuousLQRDesign(
         gain=gain,
         added_weight=added_weight,

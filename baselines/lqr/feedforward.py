@@ -23,6 +23,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.lqr.design_states import observable_states
 from baselines.lqr.preview import PreviewFeedback
 from baselines.lqr.tracking_problem import TrackingProblem, weighed
 from shake_env.dynamics.nonlinear import FLOW, FORCE, controlled_plant
@@ -91,12 +92,14 @@ def _predicted(scenario: Scenario, q: TrackingProblem, periods: int) -> tuple[Fl
     """Return rows (3, T, n) and standard deviations (T,)."""
     plant, lifted, k = scenario.plant, scenario.discrete, scenario.substeps
     n, first = plant.layout.order, plant.layout.actuator.start
-    order = np.concatenate([q.kept, q.exogenous])
+    # The displaced table's pressure is part of what the orifice sees, whether or not the law minds it.
+    moving = np.intersect1d(observable_states(plant), np.arange(n)[plant.layout.controlled])
+    order = np.concatenate([np.union1d(q.kept, moving), q.exogenous])
     scale = plant.state_scale[order]
     A = lifted.model.A[np.ix_(order, order)] * scale / scale[:, None]
     B = lifted.model.B[order, 0] * REFERENCE_CURRENT / scale
     N = lifted.noise[order] / scale[:, None]
-    feedback = np.concatenate([-q.K[0], q.L[0]])
+    feedback = q.row(q.L)[order]
     read = np.zeros((3, len(order)))
     for row, place in enumerate((LOAD_PRESSURE, TABLE_VELOCITY, SPOOL_POSITION)):
         read[row, np.flatnonzero(order == first + place)] = plant.state_scale[first + place]
@@ -145,8 +148,10 @@ def _reply(scenario: Scenario, q: TrackingProblem, periods: int, column: int) ->
         state[:, j + 1] += following[:, 0]
         outputs[j] = step.C @ state
         outputs[j][:, j + 1] += step.D[:, 0]
-    inside = q.kept - layout.controlled.start
-    B = state[inside] / plant.state_scale[q.kept][:, None]
+    moved = np.zeros((layout.order, k + 1))
+    moved[layout.controlled] = state
+    inside = np.isin(q.states.kept, q.kept)
+    B = q.states.rows(moved)[inside] / plant.state_scale[q.kept][:, None]
     z_x, z_u, z_f = (weighed(cost, part) for part in (q.Z_x, q.Z_u, outputs))
     row = np.zeros(periods * k + 1)
     now = q.G.T @ q.P @ B + z_u.T @ z_f

@@ -25,6 +25,7 @@ import control
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from baselines.lqr.design_states import DesignStates
 from baselines.lqr.h_infinity_norm import discrete_h_infinity_norm
 from baselines.lqr.sampled import ScaledProblem, StationaryPerformance, stationary_performance
 from shake_env.dynamics.nonlinear import FORCE, controlled_plant
@@ -101,7 +102,7 @@ class GeneralizedPlant:
             return np.vstack([weighed, np.full((1, weighed.shape[1]), last)])
 
         on_w = np.stack([acceleration, after], axis=1) * unit
-        B = (B_w[p.kept] / p.scale[:, None], p.N, p.G)
+        B = (p.states.rows(B_w) / p.scale[:, None], p.N, p.G)
         on_x, on_inputs = errors(p.Z_x), (errors(on_w), errors(p.Z_d), errors(p.Z_u, effort))
         if position is not None:
             place = p.place(plant, position)
@@ -147,8 +148,8 @@ class GeneralizedPlant:
 
 def _problem(scenario: Scenario, position: float | None) -> ScaledProblem:
     """Return the lifted problem, of the whole state where the table's position is weighed."""
-    kept = None if position is None else np.arange(scenario.plant.layout.order)
-    return ScaledProblem.of(scenario.discrete, kept)
+    states = DesignStates.of(scenario.plant, whole=position is not None)
+    return ScaledProblem.of(scenario.discrete, states)
 
 
 def robust_feedback(
@@ -198,7 +199,6 @@ def robust_feedback(
     if not gamma < 1.0:
         raise NumericalError("H-infinity norm", gamma, "the measured gain is not below one")
     p = _problem(scenario, position)
-    row = np.zeros(scenario.plant.layout.order)
-    row[p.kept] = K[0] * REFERENCE_CURRENT / p.scale
+    row = p.gain(K)
     performance = stationary_performance(scenario.discrete, scenario.stage_cost, row)
     return RobustDesign(row, rho, guaranteed, gamma, float(np.exp(x)), performance)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, solve_discrete_lyapunov
 
+from baselines.lqr.design_states import DesignStates
 from baselines.lqr.sampled import ScaledProblem, StationaryPerformance, action_row, riccati
 from shake_env.errors import NumericalError
 from shake_env.model.discretization import DiscretePlant
@@ -83,7 +84,7 @@ def lqr_integral(
     w = DisplacementWeights() if weights is None else weights
     plant, n, period = discrete.plant, discrete.layout.order, discrete.substeps * discrete.dt
     scale = plant.state_scale
-    p = ScaledProblem.of(discrete, np.arange(n))
+    p = ScaledProblem.of(discrete, DesignStates.of(plant, whole=True))
     e = displacement_error(plant) * scale / w.displacement  # in units of d; xi in units of d s
     F = np.block([[p.F, np.zeros((n, 1))], [period * e, np.ones((1, 1))]])
     G, N = np.vstack([p.G, [[0.0]]]), np.pad(p.N, ((0, 1), (0, 0)))

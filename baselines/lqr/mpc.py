@@ -93,8 +93,7 @@ class Prediction:
         scale = plant.state_scale[c]
         F = lifted.state[np.ix_(c, c)] * scale / scale[:, None]
         G = lifted.state[c, n] * REFERENCE_CURRENT / scale
-        K = np.zeros(len(c))
-        K[np.searchsorted(c, problem.kept)] = problem.K[0]
+        K = -problem.row(problem.L)[c]
         feed = feed_forward(scenario, problem, H)
         state = np.zeros((len(c), shown.size))
         state[np.arange(len(c)), c] = 1.0

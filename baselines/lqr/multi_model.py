@@ -18,8 +18,9 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import minimize
 
+from baselines.lqr.design_states import DesignStates
 from baselines.lqr.preview import preview_lqr
-from baselines.lqr.sampled import ScaledProblem, observable_states
+from baselines.lqr.sampled import ScaledProblem
 from baselines.lqr.tracking_problem import dlyap
 from shake_env.errors import NumericalError, ParameterError
 from shake_env.model.parameters import FloatArray
@@ -78,12 +79,15 @@ class ModelSet:
         layout, period = nominal.plant.layout, nominal.control_period
         if not models:
             raise ParameterError("models", models, "give at least one")
+        states = cls.states(nominal, models, position)
         parts: dict[str, list[FloatArray]] = {name: [] for name in ("F", "G", "W", "Q", "R", "S")}
         constant = []
         for model in models:
             if (model.plant.layout, model.control_period) != (layout, period):
                 raise ParameterError("model", model, "must have the nominal's states and period")
-            p = ScaledProblem.of(model.discrete, None if position is None else np.arange(layout.order))
+            p = ScaledProblem.of(
+                model.discrete, DesignStates.of(model.plant, whole=not np.any(states.left_out))
+            )
             ratio = p.scale / nominal.plant.state_scale[p.kept]  # own to nominal units
             Q, R, S = p.stage(model.stage_cost)
             fixed = p.unreached(model.stage_cost)
@@ -102,6 +106,14 @@ class ModelSet:
             constant.append(fixed)
         stacked = {name: np.stack(values) for name, values in parts.items()}
         return cls(**stacked, constant=np.array(constant))
+
+    @staticmethod
+    def states(nominal: Scenario, models: Sequence[Scenario], position: float | None) -> DesignStates:
+        """Return what the design works on: the whole state where one of the models needs it."""
+        whole = position is not None or not all(
+            np.any(DesignStates.of(each.plant).left_out) for each in (nominal, *models)
+        )
+        return DesignStates.of(nominal.plant, whole=whole)
 
     def radii(self, K: FloatArray) -> FloatArray:
         """Return each closed loop's spectral radius, (models,), under the gain K (1, m)."""
@@ -153,11 +165,8 @@ def multi_model_lqr(
     if aim not in ("mean", "worst"):
         raise ParameterError("aim", aim, "must be 'mean' or 'worst'")
     problem = ModelSet.of(nominal, models, position)
-    kept = (
-        np.arange(nominal.plant.layout.order)
-        if position is not None
-        else observable_states(nominal.plant)
-    )
+    states = ModelSet.states(nominal, models, position)
+    kept = states.kept
     scale = nominal.plant.state_scale[kept]
     start = preview_lqr(nominal.discrete, nominal.stage_cost, 0.0, position=position).gain[kept]
     K = (start * scale / REFERENCE_CURRENT)[None, :]
@@ -178,6 +187,7 @@ def multi_model_lqr(
         K = _descend(problem, K, 1.0, sharpness)
     gain = np.zeros(nominal.plant.layout.order)
     gain[kept] = K[0] * REFERENCE_CURRENT / scale
+    gain = states.completed(gain, np.ones(len(gain)))
     return MultiModelDesign(gain, problem.costs(K)[0], before)
 
 

@@ -122,8 +122,7 @@ def preview_lqr(
     problem = TrackingProblem.of(discrete, cost, position)
     forecast = Forecast.of(problem, samples, stride)
     rows = problem.future_rows(forecast.periods)
-    row = rows.reshape(1, -1)
-    b = forecast.expectation(row)
+    b = forecast.expectation(rows.reshape(1, -1))
     # Row j: what the law of j periods earlier knows of v through a period's draws.
     seen = (b @ forecast.N_y).reshape(rows.shape)
     performance = _performance(problem, problem.L, seen)
@@ -131,11 +130,8 @@ def preview_lqr(
     if position is None:  # what completing the square says contains the position's term, too
         analytic = _floor(problem) + problem.R_u * (problem.unseen - float(np.sum(seen**2)))
         _agree(problem, performance.cost, analytic)
-    gain = np.zeros(discrete.layout.order)
-    scale = discrete.plant.state_scale
-    gain[problem.kept] = problem.K[0] * REFERENCE_CURRENT / scale[problem.kept]
-    feed = problem.L - b @ forecast.C_y
-    gain[problem.exogenous] = -feed[0] * REFERENCE_CURRENT / scale[problem.exogenous]
+    row = problem.row(problem.L - b @ forecast.C_y)
+    gain = -row * REFERENCE_CURRENT / discrete.plant.state_scale
     return PreviewDesign(gain, b[0] * REFERENCE_CURRENT, stride * discrete.dt, analytic, performance)
 
 

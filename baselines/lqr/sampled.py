@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
+from baselines.lqr.design_states import DesignStates, IntArray
 from shake_env.errors import NumericalError, ParameterError, ScenarioError
 from shake_env.model.discretization import DiscretePlant
 from shake_env.model.parameters import FloatArray, is_number
@@ -23,13 +24,11 @@ from shake_env.model.plant import REFERENCE_CURRENT, CoupledPlant
 from shake_env.scenario.objective import StageCost
 from shake_env.scenario.scenario import Scenario
 
-IntArray = NDArray[np.intp]
-
 GROUND_DISPLACEMENT = 2  # place in the state of a ground filter with the high-pass
 
 _NO_SOLUTION = (
-    "has no stabilising solution that arithmetic can find: damp every storey, and where the table has a "
-    "stiffness give the valve a leakage"
+    "has no stabilising solution that arithmetic can find: damp every storey and the table, and check "
+    "the units of mass, stiffness and valve"
 )
 
 
@@ -122,26 +121,14 @@ def lqr(scenario: Scenario) -> LinearFeedback:
 class LQRDesign:
     """A sampled-data LQR: ``u = -gain @ x`` with the full state x in SI."""
 
-    gain: FloatArray  # (n,) [A per SI unit of each state]; zero on an unobservable position
+    gain: FloatArray  # (n,) [A per SI unit of each state]; a table that stands displaced asks for none
     analytic_cost: float  # J*, stationary expected stage cost
     performance: StationaryPerformance
 
 
-def observable_states(plant: CoupledPlant) -> IntArray:
-    """Return the indices of the states that feed anything, (n - 1,) when k_a = 0 and (n,) otherwise.
-
-    With k_a = 0 the position x_a is a pure integrator that no output and no other state sees. A
-    Riccati equation that contains it has no stabilising solution.
-    """
-    model, position = plant.coupled, plant.layout.table_displacement
-    if np.any(model.A[:, position]) or np.any(model.C[:, position]):
-        return np.arange(model.order)
-    return np.delete(np.arange(model.order), position)
-
-
 @dataclass(frozen=True)
 class ScaledProblem:
-    """The lifted problem on observable, scaled states and a current in units of REFERENCE_CURRENT."""
+    """The lifted problem on a design's states, scaled, and a current in units of REFERENCE_CURRENT."""
 
     F: FloatArray  # (m, m)
     G: FloatArray  # (m, 1)
@@ -149,27 +136,39 @@ class ScaledProblem:
     Z_x: FloatArray  # (k, 2, m) errors [m/s^2, N] after each physics step
     Z_u: FloatArray  # (k, 2, 1)
     Z_d: FloatArray  # (k, 2, draws)
-    kept: IntArray  # indices of these states in the full state
+    states: DesignStates
     scale: FloatArray  # (m,)
 
     @classmethod
-    def of(cls, discrete: DiscretePlant, kept: IntArray | None = None) -> ScaledProblem:
-        """Scale the lifted plant; `kept` None leaves an unobservable position out."""
+    def of(cls, discrete: DiscretePlant, states: DesignStates | None = None) -> ScaledProblem:
+        """Scale the lifted plant; `states` None leaves out what stands still and costs nothing."""
         plant, lifted = discrete.plant, discrete.lifted
         n = plant.layout.order
-        kept = observable_states(plant) if kept is None else kept
-        scale = plant.state_scale[kept]
+        states = DesignStates.of(plant) if states is None else states
+        kept, scale = states.kept, plant.state_scale[states.kept]
+        state = states.rows(lifted.state)
         errors = lifted.outputs[:, [0, 1]] - lifted.outputs[:, [2, 3]]
         return cls(
-            F=lifted.state[np.ix_(kept, kept)] * scale / scale[:, None],
-            G=lifted.state[kept, n : n + 1] * REFERENCE_CURRENT / scale[:, None],
-            N=lifted.state[kept, n + 1 :] / scale[:, None],
+            F=state[:, kept] * scale / scale[:, None],
+            G=state[:, n : n + 1] * REFERENCE_CURRENT / scale[:, None],
+            N=state[:, n + 1 :] / scale[:, None],
             Z_x=errors[:, :, kept] * scale,
             Z_u=errors[:, :, n : n + 1] * REFERENCE_CURRENT,
             Z_d=errors[:, :, n + 1 :],
-            kept=kept,
+            states=states,
             scale=scale,
         )
+
+    @property
+    def kept(self) -> IntArray:
+        """Places (m,) of the design's states in the full state."""
+        return self.states.kept
+
+    def gain(self, K: FloatArray) -> FloatArray:
+        """Return the law's gain (n,) [A per SI unit of each state] from K (1, m)."""
+        gain = np.zeros(len(self.states.left_out))
+        gain[self.kept] = K[0] * REFERENCE_CURRENT / self.scale
+        return self.states.completed(gain, np.ones(len(gain)))
 
     def stage(self, cost: StageCost) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return Q, R, S, (m, m), (1, 1) and (m, 1), of the expected stage ``x'Qx + u'Ru + 2 x'Su``."""
@@ -245,8 +244,7 @@ def sampled_lqr(discrete: DiscretePlant, cost: StageCost) -> LQRDesign:
     p = ScaledProblem.of(discrete)
     Q, R, S = p.stage(cost)
     P, K = riccati(p.F, p.G, Q, R, S)
-    gain = np.zeros(discrete.layout.order)
-    gain[p.kept] = K[0] * REFERENCE_CURRENT / p.scale
+    gain = p.gain(K)
     analytic = float(np.einsum("id,ij,jd->", p.N, P, p.N)) + p.unreached(cost)
     performance = stationary_performance(discrete, cost, gain)
     if not abs(performance.cost - analytic) <= 1e-6 * analytic:
@@ -264,7 +262,8 @@ def stationary_performance(
     Parameters
     ----------
     gain
-        (n,) [A per SI unit of each state]. An unobservable position is left out if its gain is zero.
+        (n,) [A per SI unit of each state]. A table that stands displaced is left out if the law ignores
+        it (`DesignStates.of_law`).
 
     Raises
     ------
@@ -276,8 +275,7 @@ def stationary_performance(
     if not np.isfinite(gain).all():
         raise ParameterError("gain", gain, "must be finite")
     plant = discrete.plant
-    held = bool(gain[plant.layout.table_displacement])
-    p = ScaledProblem.of(discrete, np.arange(plant.layout.order) if held else None)
+    p = ScaledProblem.of(discrete, DesignStates.of_law(plant, gain))
     K = (gain[p.kept] * p.scale / REFERENCE_CURRENT)[None, :]
     closed = p.F - p.G @ K
     radius = float(np.max(np.abs(np.linalg.eigvals(closed))))

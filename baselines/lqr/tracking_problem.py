@@ -18,7 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.lqr.sampled import IntArray, ScaledProblem, riccati
+from baselines.lqr.design_states import DesignStates, IntArray
+from baselines.lqr.sampled import ScaledProblem, riccati
 from shake_env.errors import NumericalError, ScenarioError
 from shake_env.model.discretization import DiscretePlant
 from shake_env.model.parameters import FloatArray
@@ -38,6 +39,7 @@ class TrackingProblem:
 
     discrete: DiscretePlant
     cost: StageCost
+    states: DesignStates  # of x_c and x_e together
     kept: IntArray  # (m,) where x_c lies in the full state
     exogenous: IntArray  # (e,) where x_e lies in the full state
     F: FloatArray  # (m, m)
@@ -81,7 +83,7 @@ class TrackingProblem:
         plant, layout = discrete.plant, discrete.layout
         if plant.equations.specimen_feels_target:
             raise ScenarioError("equations", plant.equations, "preview needs the corrected equations")
-        p = ScaledProblem.of(discrete, None if position is None else np.arange(layout.order))
+        p = ScaledProblem.of(discrete, DesignStates.of(plant, whole=position is not None))
         inside = (p.kept >= layout.controlled.start) & (p.kept < layout.controlled.stop)
         c, e = np.flatnonzero(inside), np.flatnonzero(~inside)
         F, G, A, N = p.F[np.ix_(c, c)], p.G[c], p.F[np.ix_(e, e)], p.N[e]
@@ -103,11 +105,24 @@ class TrackingProblem:
         Psi = (z_x - z_u @ K).T
         H = dlyap(closed.T, Psi @ r_e, A)  # E[h_i | x_e,i] = H x_e,i
         return cls(
-            discrete, cost, p.kept[c], p.kept[e], F, G, Z_x, Z_u, A, N, C, D, P, K, R_u, closed,
+            discrete, cost, p.states, p.kept[c], p.kept[e],
+            F, G, Z_x, Z_u, A, N, C, D, P, K, R_u, closed,
             L=(z_u.T @ r_e + G.T @ H @ A) / R_u,
             M_0=(z_u.T @ r_d + G.T @ H @ N) / R_u,
             Gamma=Psi @ r_d + closed.T @ H @ N,
         )  # fmt: skip
+
+    def row(self, on_exogenous: FloatArray) -> FloatArray:
+        """Return ``-K x_c + on_exogenous x_e`` as a row (n,) over the whole scaled state.
+
+        Parameters
+        ----------
+        on_exogenous
+            (1, e).
+        """
+        row = np.zeros(self.discrete.layout.order)
+        row[self.kept], row[self.exogenous] = -self.K[0], on_exogenous[0]
+        return self.states.completed(row, self.discrete.plant.state_scale)
 
     def future_rows(self, periods: int) -> FloatArray:
         """Return M_0 ... M_(periods - 1), (periods, draws): what v_i takes of each period's draws."""

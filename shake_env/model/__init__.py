@@ -9,6 +9,7 @@ from shake_env.model.discretization import (
     zero_order_hold,
 )
 from shake_env.model.inputs import checked_action, checked_options, checked_seed, checked_seeds
+from shake_env.model.motor import electric_actuator
 from shake_env.model.nonlinearity import Friction, Nonlinearity, ServoValve, StrokeStops, Yielding
 from shake_env.model.parameters import (
     Actuator,
@@ -30,6 +31,7 @@ from shake_env.model.plant import (
 )
 from shake_env.model.ranges import Range, check, check_ranges, is_number
 from shake_env.model.resolution import check_resolution
+from shake_env.model.specimens import read_specimen, specimen_from_matrices, specimen_from_modes
 
 __all__ = [
     "Actuator",
@@ -56,12 +58,16 @@ __all__ = [
     "checked_seed",
     "checked_seeds",
     "diagonal",
+    "electric_actuator",
     "first_order_hold",
     "ground_filter",
     "is_number",
     "noise_covariance",
+    "read_specimen",
     "require_non_negative",
     "require_positive",
+    "specimen_from_matrices",
+    "specimen_from_modes",
     "specimen_plant",
     "stacked",
     "submatrix",

@@ -9,18 +9,19 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import islice
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh
 
 from shake_env.errors import ParameterError
+from shake_env.model.matrices import FloatArray as FloatArray
+from shake_env.model.matrices import chain, symmetric_rows
+from shake_env.model.matrices import diagonal as diagonal
 from shake_env.model.ranges import RANGES, check, check_ranges
 from shake_env.model.ranges import is_number as is_number
-
-FloatArray = NDArray[np.float64]
 
 TABLE_MASS = 180.0  # m_a [kg] of Table I; a specimen's mass ratio refers to it unless told otherwise
 GRAVITY = 9.80665  # [m/s^2] standard gravity, used only where a record comes in units of g
@@ -42,8 +43,9 @@ def stacked(parts: Sequence[Part]) -> Part:
 
     Each of `parts` was checked when it was made.
     """
-    columns = {f.name: np.array([getattr(part, f.name) for part in parts]) for f in fields(parts[0])}
-    return unchecked(parts[0], **columns)
+    columns = {f.name: [getattr(part, f.name) for part in parts] for f in fields(parts[0])}
+    given = {name: values for name, values in columns.items() if any(v is not None for v in values)}
+    return unchecked(parts[0], **{name: np.array(values) for name, values in given.items()})
 
 
 def require_positive(owner: object, *fields: str) -> None:
@@ -73,16 +75,16 @@ class Actuator:
         damping or leakage is negative.
     """
 
-    table_mass: float = TABLE_MASS  # m_a [kg]
-    table_damping: float = 1000.0  # c_a [N s/m]
-    table_stiffness: float = 0.0  # k_a [N/m]; zero in a seismic simulator
-    piston_area: float = 0.00237  # A_p [m^2]
-    oil_volume: float = 0.00036  # V [m^3]
-    bulk_modulus: float = 1.4e8  # beta [Pa]
-    leakage: float = 1e-16  # K_c [m^3/(Pa s)]
-    flow_gain: float = 76.0  # K_q [m^2/s]
-    valve_gain: float = 5e-4  # K_v [m/A]
-    valve_time_constant: float = 0.010  # T_v [s]
+    table_mass: float = TABLE_MASS  # [kg] m_a, platen, piston and what is fixed to them
+    table_damping: float = 1000.0  # [N s/m] c_a, viscous friction of table and actuator
+    table_stiffness: float = 0.0  # [N/m] k_a, spring between table and ground; none in most tables
+    piston_area: float = 0.00237  # [m^2] A_p, effective area
+    oil_volume: float = 0.00036  # [m^3] V, oil in both chambers and in the lines to the valve
+    bulk_modulus: float = 1.4e8  # [Pa] beta, of the oil with its air
+    leakage: float = 1e-16  # [m^3/(Pa s)] K_c, leakage and flow-pressure coefficient
+    flow_gain: float = 76.0  # [m^2/s] K_q, flow for a spool displacement
+    valve_gain: float = 5e-4  # [m/A] K_v, spool displacement for a current
+    valve_time_constant: float = 0.010  # [s] T_v, of the first-order valve
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -110,9 +112,12 @@ class Actuator:
 
 @dataclass(frozen=True, kw_only=True)
 class Specimen:
-    """A shear building on the table; storeys are counted from the table upwards.
+    """A structure on the table, a shear building or any other; floors are counted upwards.
 
-    Give per-storey values here, or use :meth:`uniform` for equal storeys.
+    Give per-storey values here, or use :meth:`uniform` for equal storeys. A structure that is no chain
+    of storeys has matrices besides (`shake_env.model.specimens`), of floors that move in one direction
+    relative to the table. `masses` are then the sums of the rows of M, and `stiffnesses` and `dampings`
+    those of a similar shear building, by which the program scales.
 
     Raises
     ------
@@ -124,6 +129,10 @@ class Specimen:
     masses: tuple[float, ...]  # (stories,) [kg]
     stiffnesses: tuple[float, ...]  # (stories,) [N/m], storey i between floors i-1 and i
     dampings: tuple[float, ...]  # (stories,) [N s/m]
+    # (stories, stories) where the structure is no shear building; None: as the storeys give it
+    coupled_masses: tuple[tuple[float, ...], ...] | None = None  # M [kg]
+    coupled_stiffnesses: tuple[tuple[float, ...], ...] | None = None  # K [N/m]
+    coupled_dampings: tuple[tuple[float, ...], ...] | None = None  # C [N s/m]
 
     def __post_init__(self) -> None:
         most = RANGES["Specimen.uniform"]["stories"]
@@ -148,6 +157,11 @@ class Specimen:
                 lengths,
                 "give the same number of storeys (at least 1) in all three",
             )
+        for field in ("coupled_masses", "coupled_stiffnesses", "coupled_dampings"):
+            if getattr(self, field) is not None:
+                object.__setattr__(self, field, symmetric_rows(field, getattr(self, field), lengths[0]))
+        if self.coupled and (self.coupled_stiffnesses is None or self.coupled_dampings is None):
+            raise ParameterError("coupled_stiffnesses, coupled_dampings", None, "give both, or none")
 
     @classmethod
     def uniform(
@@ -195,7 +209,12 @@ class Specimen:
             If its storeys differ.
         """
         m, k, c = self.masses[0], self.stiffnesses[0], self.dampings[0]
-        if set(self.masses) != {m} or set(self.stiffnesses) != {k} or set(self.dampings) != {c}:
+        if (
+            self.coupled
+            or set(self.masses) != {m}
+            or set(self.stiffnesses) != {k}
+            or set(self.dampings) != {c}
+        ):
             raise ParameterError(
                 "specimen", self, "its storeys differ: change it with specimen=Specimen(...)"
             )
@@ -219,50 +238,53 @@ class Specimen:
     @property
     def mass_matrix(self) -> FloatArray:
         """M, (..., stories, stories) [kg]."""
-        return diagonal(self.masses)
+        return diagonal(self.masses) if self.coupled_masses is None else np.array(self.coupled_masses)
 
     @property
     def stiffness_matrix(self) -> FloatArray:
-        """K, (..., stories, stories) [N/m], tridiagonal."""
-        return chain(self.stiffnesses)
+        """K, (..., stories, stories) [N/m]; tridiagonal for storeys."""
+        given = self.coupled_stiffnesses
+        return chain(self.stiffnesses) if given is None else np.array(given)
 
     @property
     def damping_matrix(self) -> FloatArray:
-        """C, (..., stories, stories) [N s/m], tridiagonal."""
-        return chain(self.dampings)
+        """C, (..., stories, stories) [N s/m]; tridiagonal for storeys."""
+        return chain(self.dampings) if self.coupled_dampings is None else np.array(self.coupled_dampings)
+
+    @property
+    def coupled(self) -> bool:
+        """Whether matrices say what the structure is, and not its storeys."""
+        matrices = (self.coupled_masses, self.coupled_stiffnesses, self.coupled_dampings)
+        return any(matrix is not None for matrix in matrices)
+
+    def scaled(self, *, mass: float = 1.0, frequency: float = 1.0, damping: float = 1.0) -> Specimen:
+        """Return the structure with every mass, frequency and damping ratio times a factor."""
+        factors = {"masses": mass, "stiffnesses": mass * frequency**2}
+        factors["dampings"] = mass * frequency * damping
+        changes: dict[str, Any] = {}
+        for name, factor in factors.items():
+            changes[name] = tuple(factor * value for value in getattr(self, name))
+            matrix = getattr(self, f"coupled_{name}")
+            if matrix is not None:
+                changes[f"coupled_{name}"] = tuple(tuple(factor * v for v in row) for row in matrix)
+        return replace(self, **changes)
+
+    @property
+    def undamped(self) -> Specimen:
+        """The structure without damping, for its natural frequencies."""
+        none = None if not self.coupled else tuple((0.0,) * self.stories for _ in self.masses)
+        return replace(self, dampings=(0.0,) * self.stories, coupled_dampings=none)
 
     @property
     def fixed_base_frequencies(self) -> FloatArray:
         """Undamped natural frequencies on a fixed base, (stories,) [Hz], rising."""
-        root = np.sqrt(np.asarray(self.masses))
-        symmetric = self.stiffness_matrix / np.outer(root, root)
-        frequencies: FloatArray = np.sqrt(np.linalg.eigvalsh(symmetric)) / (2.0 * np.pi)
+        if self.coupled:
+            squares = eigh(self.stiffness_matrix, self.mass_matrix, eigvals_only=True)
+        else:
+            root = np.sqrt(np.asarray(self.masses))
+            squares = np.linalg.eigvalsh(self.stiffness_matrix / np.outer(root, root))
+        frequencies: FloatArray = np.sqrt(squares) / (2.0 * np.pi)
         return frequencies
-
-
-def diagonal(values: ArrayLike) -> FloatArray:
-    """Return the diagonal matrix (..., n, n) of values (..., n)."""
-    entries = np.asarray(values, dtype=float)
-    matrix = np.zeros((*entries.shape, entries.shape[-1]))
-    place = np.arange(entries.shape[-1])
-    matrix[..., place, place] = entries
-    return matrix
-
-
-def chain(storeys: ArrayLike) -> FloatArray:
-    """Return the tridiagonal matrix (..., n, n) of a chain fixed at its lower end.
-
-    Parameters
-    ----------
-    storeys
-        (..., n) stiffness or damping of the link below each floor.
-    """
-    link = np.asarray(storeys, dtype=float)
-    matrix = diagonal(link)
-    below = np.arange(link.shape[-1] - 1)
-    matrix[..., below, below] += link[..., 1:]
-    matrix[..., below, below + 1] = matrix[..., below + 1, below] = -link[..., 1:]
-    return matrix
 
 
 @dataclass(frozen=True, kw_only=True)

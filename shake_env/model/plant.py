@@ -24,8 +24,8 @@ from shake_env.model.parameters import (
     ModelEquations,
     Specimen,
     diagonal,
-    unchecked,
 )
+from shake_env.model.specimens import damped_specimen
 
 LOAD_PRESSURE, TABLE_DISPLACEMENT, TABLE_VELOCITY, SPOOL_POSITION = range(4)  # places in x_A
 
@@ -170,18 +170,22 @@ def ground_filter(ground: GroundFilter) -> StateSpace:
 def specimen_plant(specimen: Specimen) -> StateSpace:
     """Return the specimen from the acceleration of its base to its base shear f_s (eqs. 6 to 8)."""
     n, batch = specimen.stories, np.shape(specimen.masses)[:-1]
-    inverse_mass = diagonal(1.0 / np.asarray(specimen.masses))
-    A, B, C = (
-        np.zeros((*batch, 2 * n, 2 * n)),
-        np.zeros((*batch, 2 * n, 1)),
-        np.zeros((*batch, 1, 2 * n)),
-    )
+    A, B = np.zeros((*batch, 2 * n, 2 * n)), np.zeros((*batch, 2 * n, 1))
+    C = np.zeros((*batch, 1, 2 * n))
     A[..., :n, n:] = np.eye(n)
-    A[..., n:, :n] = -inverse_mass @ specimen.stiffness_matrix
-    A[..., n:, n:] = -inverse_mass @ specimen.damping_matrix
+    K, damping = specimen.stiffness_matrix, specimen.damping_matrix
+    if specimen.coupled:
+        A[..., n:, :n] = -np.linalg.solve(specimen.mass_matrix, K)
+        A[..., n:, n:] = -np.linalg.solve(specimen.mass_matrix, damping)
+        # The base carries what accelerates all floors: 1'M (x_r'' + 1 y_A) = -(1'K x_r + 1'C x_r').
+        C[..., 0, :n], C[..., 0, n:] = K.sum(axis=-2), damping.sum(axis=-2)
+    else:
+        inverse_mass = diagonal(1.0 / np.asarray(specimen.masses))
+        A[..., n:, :n] = -inverse_mass @ K
+        A[..., n:, n:] = -inverse_mass @ damping
+        C[..., 0, 0] = np.asarray(specimen.stiffnesses)[..., 0]
+        C[..., 0, n] = np.asarray(specimen.dampings)[..., 0]
     B[..., n:, 0] = -1.0
-    C[..., 0, 0] = np.asarray(specimen.stiffnesses)[..., 0]
-    C[..., 0, n] = np.asarray(specimen.dampings)[..., 0]
     return StateSpace(A, B, C, np.zeros((*batch, 1, 1)))
 
 
@@ -312,8 +316,7 @@ class CoupledPlant:
         damped below 1 % counts as damped by 1 % here: an undamped one has no finite rms.
         """
         plain = GroundFilter(frequency=self.ground.frequency, damping_ratio=self.ground.damping_ratio)
-        critical = 2.0 * np.sqrt(np.multiply(self.specimen.masses, self.specimen.stiffnesses))
-        damped = unchecked(self.specimen, dampings=np.maximum(self.specimen.dampings, 0.01 * critical))
+        damped = damped_specimen(self.specimen)
         base = CoupledPlant(self.actuator, damped, plain, ModelEquations())
         a, layout = self.actuator, base.layout
         exogenous = np.r_[layout.ground, layout.reference]
@@ -387,12 +390,8 @@ class CoupledPlant:
     @property
     def _undamped(self) -> FloatArray:
         """State matrix (4 + 2 stories, ...) of table and specimen without damping, scaled."""
-        undamped = CoupledPlant(
-            replace(self.actuator, table_damping=0.0, leakage=0.0),
-            replace(self.specimen, dampings=(0.0,) * self.specimen.stories),
-            self.ground,
-            self.equations,
-        )
+        actuator = replace(self.actuator, table_damping=0.0, leakage=0.0)
+        undamped = CoupledPlant(actuator, self.specimen.undamped, self.ground, self.equations)
         layout = undamped.layout
         keep = np.r_[layout.controlled]
         A = undamped.coupled.A[np.ix_(keep, keep)]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from shake_env.errors import ScenarioError
 from shake_env.model.nonlinearity import Nonlinearity
 from shake_env.model.parameters import Actuator, GroundFilter, Specimen
@@ -27,6 +29,13 @@ def fastest_rates(actuator: Actuator, specimen: Specimen, ground: GroundFilter) 
         + links[0] / a.table_mass
         for links in (specimen.stiffnesses, specimen.dampings)
     )
+    if specimen.coupled:
+        M = specimen.mass_matrix
+        stiffness, damping = (
+            float(np.abs(np.linalg.eigvals(np.linalg.solve(M, matrix))).max())
+            + float(matrix.sum()) / a.table_mass
+            for matrix in (specimen.stiffness_matrix, specimen.damping_matrix)
+        )
     highpass = (ground.highpass_frequency or 0.0, ground.highpass_damping_ratio)
     return {
         "actuator.valve_time_constant": 1.0 / a.valve_time_constant,

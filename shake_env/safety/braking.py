@@ -33,6 +33,7 @@ from shake_env.model.plant import (
     TABLE_VELOCITY,
     CoupledPlant,
     StateSpace,
+    specimen_plant,
 )
 from shake_env.scenario.scenario import Scenario
 
@@ -134,10 +135,8 @@ def _carried(scenario: Scenario, specimen: Specimen) -> tuple[FloatArray, FloatA
     (2 stories, 2 stories), and (2 stories, 2) for the table's velocity at both ends, straight between.
     """
     n = specimen.stories
-    inverse_mass = np.diag(1.0 / np.asarray(specimen.masses))
-    K, C = inverse_mass @ specimen.stiffness_matrix, inverse_mass @ specimen.damping_matrix
-    A = np.block([[np.zeros((n, n)), np.eye(n)], [-K, -C]])
-    B = np.concatenate([-np.ones(n), C @ np.ones(n)])[:, None]
+    A = specimen_plant(specimen).A
+    B = np.concatenate([-np.ones(n), -A[n:, n:] @ np.ones(n)])[:, None]
     size = np.sqrt(specimen.stiffnesses[0] / specimen.masses[0])
     system = StateSpace(A, B, np.zeros((1, 2 * n)), np.zeros((1, 1)))
     scale = np.r_[np.full(n, 1.0 / size), np.ones(n)]

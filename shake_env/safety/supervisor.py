@@ -304,13 +304,5 @@ def _family(scenario: Scenario, mass_ratio: Uniform, frequency: Uniform) -> list
     slowest, fastest = min(f.low for f in rates) / own, max(f.high for f in rates) / own
     number = 1 + max(1, math.ceil(math.log(fastest / slowest) / math.log(FREQUENCY_RATIO)))
     factors = np.geomspace(slowest, fastest, number)
-    return [_scaled(nominal, mass, factor) for factor in factors for mass in (lightest, heaviest)]
-
-
-def _scaled(specimen: Specimen, mass: float, frequency: float) -> Specimen:
-    """Return a specimen with every mass and every frequency times a factor."""
-    return Specimen(
-        masses=tuple(mass * m for m in specimen.masses),
-        stiffnesses=tuple(mass * frequency**2 * k for k in specimen.stiffnesses),
-        dampings=tuple(mass * frequency * c for c in specimen.dampings),
-    )
+    pairs = [(mass, factor) for factor in factors for mass in (lightest, heaviest)]
+    return [nominal.scaled(mass=mass, frequency=factor) for mass, factor in pairs]

@@ -9,6 +9,7 @@ from shake_env.scenario.overrides import Overrides, make_scenario
 from shake_env.scenario.presets import laboratory_noise
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.scenario_file import flattened, read_scenario, scenario_fields, scenario_of
+from shake_env.scenario.scenario_writer import scenario_toml, write_scenario
 from shake_env.scenario.uncertainty import Uncertainty, Uniform
 
 __all__ = [
@@ -33,4 +34,6 @@ __all__ = [
     "scenario_digest",
     "scenario_fields",
     "scenario_of",
+    "scenario_toml",
+    "write_scenario",
 ]

@@ -16,7 +16,7 @@ from shake_env.motion.targets import FilteredNoise, MotionSet, RecordedMotion
 from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import Scenario
 
-LEFT_OUT = ("name", "train_on")  # fields of a scenario that do not change the task
+LEFT_OUT = ("name", "train_on", "table")  # fields of a scenario that do not change the task
 VERSION = 1  # of the canonical form
 # Fields that joined a part of a scenario after version 1: their path from the scenario, and the value at
 # which nothing is other than it was before. At that value they are left out of the canonical form.

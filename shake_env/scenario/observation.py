@@ -104,15 +104,27 @@ class Sensing:
             raise ParameterError("sensors", signals, "name at least one signal, and each once")
 
     @classmethod
-    def laboratory(cls) -> Sensing:
+    def laboratory(
+        cls,
+        *,
+        displacement: float = 0.076,
+        velocity: float = 0.65,
+        pressure: float = 21e6,
+        spool: float = 2e-5,
+        acceleration: float = 49.0,
+    ) -> Sensing:
         """Return a laboratory's signals: noise 0.1 % of full scale, 16 bits, 0.1 s of preview.
 
-        Full scales: 76 mm, 0.65 m/s, 5 g, 21 MPa and a spool of 20 um. The accelerometer has an
-        anti-alias filter at 80 Hz and an offset of 0.01 m/s^2 rms.
+        The accelerometer has an anti-alias filter at 80 Hz and an offset of 0.01 m/s^2 rms.
+
+        Parameters
+        ----------
+        displacement, velocity, pressure, spool, acceleration
+            Full scales [m, m/s, Pa, m, m/s^2].
         """
         full = {
-            "table_displacement": 0.076, "table_velocity": 0.65, "load_pressure": 21e6,
-            "spool_position": 2e-5, "table_acceleration": 49.0,
+            "table_displacement": displacement, "table_velocity": velocity, "load_pressure": pressure,
+            "spool_position": spool, "table_acceleration": acceleration,
         }  # fmt: skip
         accelerometer = {"bias": 0.01, "lowpass_frequency": 80.0}
         return cls(

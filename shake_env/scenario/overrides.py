@@ -12,20 +12,23 @@ from shake_env.model.nonlinearity import Nonlinearity
 from shake_env.model.parameters import ModelEquations, Specimen
 from shake_env.motion.processing import fit_amplitude
 from shake_env.motion.targets import FilteredNoise, Motion, MotionSet, RecordedMotion
+from shake_env.scenario.builder import with_fields
 from shake_env.scenario.capacity import scenario_capacity
-from shake_env.scenario.field_paths import with_fields
 from shake_env.scenario.limits import Limits
 from shake_env.scenario.objective import Objective
 from shake_env.scenario.observation import Sensing
 from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import UNIFORM, Scenario
-from shake_env.scenario.scenario_file import read_scenario
+from shake_env.scenario.scenario_file import is_scenario_file, read_scenario
+from shake_env.scenario.tables.on_table import on_table
+from shake_env.scenario.tables.table import named_table
 from shake_env.scenario.uncertainty import Uncertainty
 
 
 class Overrides(TypedDict, total=False):
     """What can be changed about a scenario by a word; anything else by its path in ``fields``."""
 
+    table: str
     stories: int
     mass_ratio: float
     storey_frequency: float
@@ -70,9 +73,11 @@ def make_scenario(
     ----------
     scenario
         A name (``"linear"``, ``"as-printed"``, ``"laboratory"``, ``"unknown-specimen"``,
-        ``"yielding"``, ``"records"``), the path of a JSON file that ``shake show-scenario --json``
-        printed (it ends in ``.json`` or is an ``os.PathLike``), or a scenario.
+        ``"yielding"``, ``"records"``), the path of a scenario file (it ends in ``.toml`` or ``.json``,
+        or is an ``os.PathLike``; see `read_scenario`), or a scenario.
     overrides
+        ``table``: the name of another table (`shake_env.scenario.tables.TABLE_NAMES`), with limits,
+        amplitudes and sensors that follow from it (`on_table`), before everything else;
         ``stories``, ``mass_ratio``, ``storey_frequency`` [Hz], ``damping_ratio`` (equal storeys) or
         ``specimen``; ``equations`` ("corrected", "as_printed" or a value); ``physics_step`` [s],
         ``control_rate`` [Hz]; ``acceleration_weight``, ``force_weight``, ``current_weight`` or
@@ -91,11 +96,11 @@ def make_scenario(
     ParameterError
         If a value is outside its range.
     """
-    if isinstance(scenario, os.PathLike) or (isinstance(scenario, str) and scenario.endswith(".json")):
+    if isinstance(scenario, str | os.PathLike) and is_scenario_file(scenario):
         scenario = read_scenario(scenario)
     elif isinstance(scenario, str):
         if scenario not in NAMED:
-            raise unknown(ScenarioError, "scenario", scenario, [*NAMED, "FILE.json"])
+            raise unknown(ScenarioError, "scenario", scenario, [*NAMED, "FILE.toml"])
         scenario = NAMED[scenario]()
     if not isinstance(scenario, Scenario):
         raise ScenarioError("scenario", scenario, "must be a Scenario or the name of one")
@@ -103,6 +108,8 @@ def make_scenario(
     for name in given:
         if name not in Overrides.__annotations__:
             raise unknown(ScenarioError, "scenario option", name, Overrides.__annotations__)
+    if "table" in given:
+        scenario = on_table(scenario, named_table(given["table"]))
     changes: dict[str, Any] = {name: given[name] for name in _DIRECT if name in given}
     _exclusive(given, "specimen", UNIFORM)
     _exclusive(given, "objective", _WEIGHTS)

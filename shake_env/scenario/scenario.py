@@ -21,6 +21,7 @@ from shake_env.motion.targets import FilteredNoise, Motion, MotionSet, RecordedM
 from shake_env.scenario.limits import Limits
 from shake_env.scenario.objective import Objective, StageCost
 from shake_env.scenario.observation import ObservationLayout, Sensing
+from shake_env.scenario.tables.table import DEFAULT_TABLE, TABLE_NAMES, named_table
 from shake_env.scenario.uncertainty import Uncertainty
 
 _KINDS: tuple[tuple[str, type | tuple[type, ...]], ...] = (
@@ -58,15 +59,16 @@ class Scenario:
         If a part is of another type.
     """
 
-    name: str = "linear"
+    name: str = "linear"  # in tables, figures and results
+    table: str = DEFAULT_TABLE  # name of the table that the actuator is; it changes nothing computed
     actuator: Actuator = field(default_factory=Actuator)
     specimen: Specimen = field(default_factory=Specimen.uniform)
     ground: GroundFilter = field(default_factory=GroundFilter)
     equations: ModelEquations = field(default_factory=ModelEquations)
     motion: Motion = field(default_factory=FilteredNoise)
     objective: Objective = field(default_factory=Objective)
-    physics_step: float = 1e-3  # [s]
-    control_rate: float = 200.0  # [Hz]
+    physics_step: float = 1e-3  # [s] of the integration
+    control_rate: float = 200.0  # [Hz] of the controller; its period is a whole number of steps
     # Of the directions of a step's noise, two lose 1e-9 of any mean square at 1 ms
     # (`DiscretePlant.noise`); None draws all above rounding, which takes twice as many.
     noise_directions: int | None = 2  # [-] random numbers a physics step
@@ -112,6 +114,10 @@ class Scenario:
         check_directions("noise_directions", self.noise_directions)
 
     def _check_equations(self) -> None:
+        if self.specimen.coupled and self.nonlinearity.yielding.active:
+            raise ScenarioError(
+                "nonlinearity.yielding", self.nonlinearity.yielding, "needs storeys: give no matrices"
+            )
         asked = {
             "nonlinearity": self.nonlinearity.active,
             "delay": bool(self.delay),
@@ -163,6 +169,11 @@ class Scenario:
         """Longest loop delay [physics steps] that a drawn plant can have."""
         uncertain = self.uncertainty.delay
         return self.delay if uncertain is None else max(self.delay, math.ceil(uncertain.high))
+
+    @property
+    def input_unit(self) -> str:
+        """Unit of the input that action 1 stands for: ``"A"`` of a valve, or ``"V"``."""
+        return named_table(self.table).input_unit if self.table in TABLE_NAMES else "A"
 
     @property
     def substeps(self) -> int:

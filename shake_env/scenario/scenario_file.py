@@ -1,4 +1,8 @@
-"""A scenario as plain values by path, and back: the JSON that ``shake show-scenario --json`` prints."""
+"""Scenario files: TOML for people, and the JSON that ``shake show-scenario --json`` prints.
+
+A JSON file holds every field by its path, as plain values. A TOML file holds what it says, on top of the
+named scenario that it begins with and of the files that it includes; see ``docs/howto/files.md``.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +10,7 @@ import json
 import math
 import os
 import re
-import types
-import typing
+import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -16,27 +19,43 @@ from typing import Any
 from shake_env.errors import ScenarioError, ShakeError, unknown
 from shake_env.files import no_file
 from shake_env.records import Record
+from shake_env.scenario.builder import Builder
+from shake_env.scenario.field_paths import NOTHING, Node, Steps, nodes_of
 from shake_env.scenario.observation import Sensor
+from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import Scenario
+from shake_env.scenario.toml_lines import TomlSource
 
-LARGEST = 10_000_000  # [bytes] of a scenario file; one of a hundred storeys has 10 000
-ENTRIES = ("name", "fields", "observation", "scenarios")  # of a file; the last two are not read
-_STEP = re.compile(r"([^.\[\]]+)|\[(\d{1,6})\]")
+LARGEST = 10_000_000  # [bytes] of a JSON file; one of a hundred storeys has 10 000
+LARGEST_TOML = 1_000_000  # [bytes]
+ENTRIES = ("name", "fields", "observation", "scenarios")  # of a JSON file; the last two are not read
+SCHEMA = 1  # version of the TOML files
+SUFFIXES = (".toml", ".json")
+WHOLE = (("specimen",), ("motion",))  # sections of which one file says everything
 
 
-def flattened(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield path and plain value of every field of a frozen value; infinite numbers as words."""
+def is_scenario_file(name: object) -> bool:
+    """Return whether a scenario is named by the path of its file."""
+    return isinstance(name, os.PathLike) or (isinstance(name, str) and name.endswith(SUFFIXES))
+
+
+def flattened(value: Any, path: str = "", *, samples: bool = False) -> Iterator[tuple[str, Any]]:
+    """Yield path and plain value of every field of a frozen value; infinite numbers as words.
+
+    A record from a file is its name, or (`samples`) an object with all that it holds.
+    """
     if isinstance(value, Record):
-        yield path, value.name
+        yield path, _plain_record(value) if samples else value.name
     elif is_dataclass(value) and not isinstance(value, type):
         for item in fields(value):
-            yield from flattened(getattr(value, item.name), f"{path}.{item.name}".lstrip("."))
+            below = f"{path}.{item.name}".lstrip(".")
+            yield from flattened(getattr(value, item.name), below, samples=samples)
     elif isinstance(value, tuple) and value and all(isinstance(item, Sensor) for item in value):
         for sensor in value:
-            yield from flattened(sensor, f"{path}.{sensor.signal}")
+            yield from flattened(sensor, f"{path}.{sensor.signal}", samples=samples)
     elif isinstance(value, tuple) and value and is_dataclass(value[0]):
         for number, item in enumerate(value):
-            yield from flattened(item, f"{path}[{number}]")
+            yield from flattened(item, f"{path}[{number}]", samples=samples)
     elif isinstance(value, float) and not math.isfinite(value):
         yield path, str(value)
     else:
@@ -44,21 +63,17 @@ def flattened(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def scenario_fields(scenario: Scenario) -> dict[str, Any]:
-    """Return every field of a scenario by its path, as plain JSON values.
+    """Return every field of a scenario by its path, as plain JSON values."""
+    return dict(flattened(scenario, samples=True))
 
-    Raises
-    ------
-    ScenarioError
-        If the scenario holds what these values cannot say: a record that was read from a file.
-    """
-    values = dict(flattened(scenario))
-    if scenario_of(values) != scenario:
-        raise ScenarioError(
-            "motion",
-            values.get("motion.record", scenario.motion),
-            "is no embedded record, so that no scenario file can name it: read it with read_motion",
-        )
-    return values
+
+def _plain_record(record: Record) -> dict[str, Any]:
+    return {
+        "name": record.name,
+        "sampling_interval": record.sampling_interval,
+        "attribution": [list(line) for line in record.attribution],
+        "acceleration": record.acceleration.tolist(),
+    }
 
 
 def scenario_of(values: Mapping[str, Any]) -> Scenario:
@@ -71,44 +86,51 @@ def scenario_of(values: Mapping[str, Any]) -> Scenario:
     ParameterError
         If a value is outside its range.
     """
-    tree: dict[str, Any] = {}
-    for path, value in values.items():
-        _insert(tree, path, value)
-    scenario: Scenario = _built(Scenario, tree, "")
+    scenario: Scenario = Builder(complete=True).part((Scenario,), nodes_of(values, once=True), None)
     return scenario
 
 
 def read_scenario(file: str | os.PathLike[str]) -> Scenario:
-    """Return the scenario that a JSON file of ``shake show-scenario --json`` holds.
+    """Return the scenario that a file holds: TOML where its name ends in ``.toml``, JSON otherwise.
 
     Raises
     ------
     ScenarioError
-        If the file cannot be read or is no such JSON, or a field is missing, unknown or of another type.
+        If the file cannot be read or is none of these, or a field is unknown, of another type, given
+        twice, or (of JSON) missing. The message names file, line, field and value.
     ParameterError
         If a value is outside its range.
+    RecordError
+        If a recorded motion that the file names cannot be read.
     """
-    found = _object(Path(file))
-    for name in found:
+    path = Path(file)
+    return parse_toml(path, _text(path, LARGEST_TOML)) if path.suffix == ".toml" else _read_json(path)
+
+
+def _read_json(file: Path) -> Scenario:
+    content = _object(file)
+    for name in content:
         if name not in ENTRIES:
             raise unknown(ScenarioError, f"entry of {file}", name, ENTRIES)
-    if not isinstance(found.get("fields"), dict):
+    if not isinstance(content.get("fields"), dict):
         raise ScenarioError(
             "scenario file",
             str(file),
             "has no object 'fields': write one by shake show-scenario --json > FILE",
         )
     try:
-        scenario = scenario_of(found["fields"])
+        scenario = scenario_of(content["fields"])
     except ShakeError as error:
         raise type(error)(f"{file}, {error.field}", error.value, error.remedy) from None
-    if found.get("name", scenario.name) != scenario.name:
-        raise ScenarioError(f"name in {file}", found["name"], f"contradicts its field {scenario.name!r}")
+    if content.get("name", scenario.name) != scenario.name:
+        raise ScenarioError(
+            f"name in {file}", content["name"], f"contradicts its field {scenario.name!r}"
+        )
     return scenario
 
 
-def _object(path: Path) -> dict[str, Any]:
-    """Return the JSON object of a file."""
+def _text(path: Path, largest: int) -> str:
+    """Return the text of a regular file."""
 
     def refused(why: str) -> ScenarioError:
         return ScenarioError("scenario file", str(path), why)
@@ -116,119 +138,150 @@ def _object(path: Path) -> dict[str, Any]:
     try:
         if not path.is_file():
             raise refused(no_file(path))
-        if path.stat().st_size > LARGEST:
-            raise refused(f"is larger than {LARGEST // 1_000_000} MB, so it is no scenario")
-        text = path.read_text(encoding="utf-8-sig")
-        found = json.loads(text, object_pairs_hook=_once, parse_constant=_no_constant)
+        if path.stat().st_size > largest:
+            raise refused(f"is larger than {largest // 1_000_000} MB, so it is no scenario")
+        return path.read_bytes().decode("utf-8-sig")
     except OSError as error:
         raise refused(f"cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError as error:
+        kind = path.suffix.removeprefix(".").upper() if path.suffix in SUFFIXES else "JSON"
+        raise refused(f"is no {kind} ({error})") from None
+    except ValueError as error:
+        if isinstance(error, ShakeError):
+            raise
+        raise refused(f"cannot be read ({error})") from None  # a null character in the path
+
+
+def _object(path: Path) -> dict[str, Any]:
+    """Return the JSON object of a file."""
+    try:
+        content = json.loads(_text(path, LARGEST), object_pairs_hook=_once, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
         if isinstance(error, ShakeError):
             raise
-        raise refused(f"is no JSON ({error}): write it by shake show-scenario --json > FILE") from None
-    if not isinstance(found, dict):
-        raise refused("must hold one JSON object, as shake show-scenario --json prints it")
-    return found
+        remedy = f"is no JSON ({error}): write it by shake show-scenario --json > FILE"
+        raise ScenarioError("scenario file", str(path), remedy) from None
+    if not isinstance(content, dict):
+        raise ScenarioError(
+            "scenario file",
+            str(path),
+            "must hold one JSON object, as shake show-scenario --json prints it",
+        )
+    return content
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    content = dict(pairs)
+    if len(content) < len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in names if names.count(name) > 1)
         raise ScenarioError("scenario file", twice, "stands twice in one object: remove one of them")
-    return found
+    return content
 
 
 def _no_constant(word: str) -> Any:
     raise ValueError(f"{word} is no JSON number; an infinite value is the word 'inf'")
 
 
-def _insert(tree: dict[str, Any], path: str, value: Any) -> None:
-    steps: list[str | int] = [name or int(number) for name, number in _STEP.findall(path)]
-    written = "".join(f"[{s}]" if isinstance(s, int) else f".{s}" for s in steps).lstrip(".")
-    if not steps or written != path:
-        raise ScenarioError("field path", path, "must be names with dots between them")
-    node: dict[Any, Any] = tree
-    for step in steps[:-1]:
-        node = node.setdefault(step, {})
-        if not isinstance(node, dict):
-            raise ScenarioError("field path", path, "a part of it has a value already: remove one")
-    if steps[-1] in node:
-        raise ScenarioError("field path", path, "has fields of its own already: remove one of them")
-    node[steps[-1]] = _Leaf(value)
+# TOML
 
 
-class _Leaf:
-    """A value at the end of a path, which may itself be a mapping by mistake."""
+def parse_toml(file: str | os.PathLike[str], text: str) -> Scenario:
+    """Return the scenario of a TOML file whose text is in memory; see :func:`read_scenario`.
 
-    def __init__(self, value: Any) -> None:
-        self.value = value
-
-
-def _built(hint: Any, node: Any, path: str) -> Any:
-    """Return `node` as what a field of type `hint` holds."""
-    kinds = _kinds(hint)
-    if isinstance(node, _Leaf):
-        return _leaf(kinds, node.value, path)
-    for kind in kinds:
-        if typing.get_origin(kind) is tuple:
-            return _tuple(typing.get_args(kind)[0], node, path)
-    parts = [kind for kind in kinds if is_dataclass(kind) and kind is not Record]
-    if not parts:
-        raise ScenarioError("field path", f"{path}.{next(iter(node))}", f"{path} has no fields")
-    kind = _nearest(parts, node)
-    hints = typing.get_type_hints(kind)
-    names = [item.name for item in fields(kind) if item.init]
-    where = f"{path}." if path else ""
-    for name in node:
-        if name not in names:
-            raise unknown(ScenarioError, "field", f"{where}{name}", [f"{where}{n}" for n in names])
-    for name in names:
-        if name not in node:
-            raise ScenarioError(f"{where}{name}", None, "is missing: every field must be there")
-    return kind(**{name: _built(hints[name], node[name], f"{where}{name}") for name in names})
+    Parameters
+    ----------
+    file
+        What messages call it, and what paths in it are relative to.
+    text
+        Its text.
+    """
+    file = Path(file)
+    tree = _tree(TomlSource(file, text), (), set())
+    base = tree.parts.pop("base", None)
+    start = "linear" if base is None else base.value
+    if not isinstance(start, str) or start not in NAMED:
+        assert base is not None
+        remedy = unknown(ScenarioError, "", str(start), NAMED).remedy
+        raise ScenarioError(base.place, base.given(), f"is no named scenario: {remedy}")
+    if "name" not in tree.parts:
+        tree.child("name").value = file.stem
+    scenario: Scenario = Builder().part((Scenario,), tree, NAMED[start]())
+    return scenario
 
 
-def _kinds(hint: Any) -> tuple[Any, ...]:
-    """Return the members of a union, those of its members included; the type itself otherwise."""
-    if typing.get_origin(hint) in (typing.Union, types.UnionType):
-        return tuple(kind for each in typing.get_args(hint) for kind in _kinds(each))
-    return (hint,)
+def _tree(source: TomlSource, including: tuple[Path, ...], files: set[Path]) -> Node:
+    """Return what a file and those that it includes ask for; `files` are those that were read."""
+    file = source.file
+    tree = _node(_table(source), (), source)
+    schema = tree.parts.pop("schema", None)
+    if schema is None:
+        raise ScenarioError(str(file), None, f"says no version: begin with schema = {SCHEMA}")
+    if type(schema.value) is not int or schema.value != SCHEMA:
+        raise ScenarioError(
+            schema.place, schema.given(), f"must be {SCHEMA}, the version that this program reads"
+        )
+    include = tree.parts.pop("include", None)
+    names = [] if include is None else include.value
+    if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
+        assert include is not None
+        raise ScenarioError(include.place, include.given(), "must be a list of names of files")
+    files.add(file.resolve())
+    below = Node()
+    for number, name in enumerate(names):
+        other = file.parent / name
+        place = source.place(("include", number))
+        if other.suffix != ".toml":
+            raise ScenarioError(f"{place}, include", name, "must end in .toml")
+        if other.resolve() in (*including, file.resolve()):
+            raise ScenarioError(f"{place}, include", name, "includes this file itself: a circle")
+        if other.resolve() in files:
+            continue
+        try:
+            text = _text(other, LARGEST_TOML)
+        except ScenarioError as error:
+            raise ScenarioError(f"{place}, include", str(other), error.remedy) from None
+        part = _tree(TomlSource(other, text), (*including, file.resolve()), files)
+        _merge(below, part, replacing=False)
+    _merge(tree, below, replacing=True)
+    return tree
 
 
-def _nearest(parts: list[Any], node: Mapping[Any, Any]) -> Any:
-    """Return the kind whose fields have most names in common with those of a node."""
-
-    def differences(kind: Any) -> int:
-        return len({item.name for item in fields(kind) if item.init} ^ set(node))
-
-    return min(parts, key=differences)
-
-
-def _tuple(hint: Any, node: Mapping[Any, Any], path: str) -> tuple[Any, ...]:
-    if hint is Sensor:
-        sensors = tuple(_built(hint, each, f"{path}.{signal}") for signal, each in node.items())
-        for signal, sensor in zip(node, sensors, strict=True):
-            if sensor.signal != signal:
-                raise ScenarioError(f"{path}.{signal}.signal", sensor.signal, f"must be {signal!r}")
-        return sensors
-    if list(node) != [*range(len(node))]:
-        raise ScenarioError(path, list(node), "must be numbered from [0] on, without a gap")
-    return tuple(_built(hint, each, f"{path}[{number}]") for number, each in node.items())
+def _table(source: TomlSource) -> dict[str, Any]:
+    try:
+        return tomllib.loads(source.text)
+    except (ValueError, RecursionError) as error:
+        found = re.search(r" \(at line (\d+), column \d+\)", str(error))
+        lines = source.text.split("\n")
+        number = int(found[1]) if found else len(lines)
+        why = str(error)[: found.start()] if found else str(error)
+        text = lines[number - 1].strip()[:80]
+        raise ScenarioError(f"{source.file}, line {number}", text, f"is no TOML: {why}") from None
 
 
-def _leaf(kinds: tuple[Any, ...], value: Any, path: str) -> Any:
-    for kind in kinds:
-        if kind is float and value in ("inf", "-inf"):
-            return float(value)
-        if kind is float and type(value) in (int, float):
-            return value
-        if kind in (bool, int, str, types.NoneType) and type(value) is kind:
-            return value
-        if typing.get_origin(kind) is tuple and isinstance(value, list):
-            each = typing.get_args(kind)[0]
-            return tuple(_leaf(_kinds(each), item, f"{path}[{i}]") for i, item in enumerate(value))
-    names = [getattr(kind, "__name__", str(kind)) for kind in kinds]
-    named = ["null" if name == "NoneType" else name for name in names]
-    raise ScenarioError(path, value, f"must be a {' or '.join(named)}")
+def _node(value: Any, steps: Steps, source: TomlSource) -> Node:
+    node = Node(steps, source)
+    if isinstance(value, dict):
+        node.parts = {name: _node(part, (*steps, name), source) for name, part in value.items()}
+    elif isinstance(value, list) and any(isinstance(item, dict) for item in value):
+        node.value = ()  # the tables of an array stand for themselves
+        node.parts = {i: _node(item, (*steps, i), source) for i, item in enumerate(value)}
+    else:
+        node.value = value
+    return node
+
+
+def _merge(tree: Node, other: Node, *, replacing: bool) -> None:
+    """Add to a tree what another says; what both say stays (`replacing`), or is refused."""
+    for step, part in other.parts.items():
+        own = tree.parts.get(step)
+        if own is None:
+            tree.parts[step] = part
+        elif _is_section(own) and _is_section(part):
+            _merge(own, part, replacing=replacing)
+        elif not replacing:
+            raise ScenarioError(part.place, part.given(), f"is given in {own.place}, too: remove one")
+
+
+def _is_section(node: Node) -> bool:
+    return bool(node.parts) and node.value is NOTHING and node.steps not in WHOLE

@@ -65,13 +65,7 @@ def gains(scenario: Scenario) -> dict[str, FloatArray]:
     """Return the gains (n,) of the two sampled-data controllers."""
     specimen, table = scenario.specimen, scenario.actuator.table_mass
     shrink = UNKNOWN_SPECIMEN * table / specimen.mass
-    light = replace(
-        specimen,
-        masses=tuple(shrink * np.array(specimen.masses)),
-        stiffnesses=tuple(shrink * np.array(specimen.stiffnesses)),
-        dampings=tuple(shrink * np.array(specimen.dampings)),
-    )
-    empty = replace(scenario, specimen=light)
+    empty = replace(scenario, specimen=specimen.scaled(mass=shrink))
     return {
         SAMPLED: sampled_lqr(scenario.discrete, scenario.stage_cost).gain,
         UNAWARE: sampled_lqr(empty.discrete, empty.stage_cost).gain,

@@ -162,7 +162,7 @@ def _chosen(name: str, arrays: dict[str, FloatArray], table: str | None) -> list
     chosen = [key for key in chosen if _short(key) not in _TIMES] or chosen
     if len({len(arrays[key]) for key in chosen}) > 1:
         raise RecordError(
-            name, known, "vectors of several lengths: choose one with table='NAME' (--table NAME)"
+            name, known, "vectors of several lengths: choose one with table='NAME' (--sheet NAME)"
         )
     return chosen
 

@@ -76,7 +76,7 @@ def parse_spreadsheet(
     filled = [title for title, text in texts.items() if text.strip()]
     if table is None and len(filled) != 1:
         sheets = ", ".join(filled) or "none"
-        raise RecordError(name, f"sheets: {sheets}", "choose one with table='NAME' (--table NAME)")
+        raise RecordError(name, f"sheets: {sheets}", "choose one with table='NAME' (--sheet NAME)")
     if table is not None and table not in filled:
         raise RecordError(name, table, f"is no filled sheet; there are: {', '.join(filled)}")
     title = filled[0] if table is None else table

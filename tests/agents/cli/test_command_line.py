@@ -403,12 +403,12 @@ FIELDS = scenario_fields(make_scenario("laboratory"))
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"specimen.masses": None}, r"specimen.masses = None: must be a tuple"),
-        ({"specimen.masses": [1.0, "2"]}, r"specimen.masses\[1\] = '2': must be a float"),
-        ({"control_rate": "200"}, "control_rate = '200': must be a float"),
-        ({"control_rate": True}, "control_rate = True: must be a float"),
+        ({"specimen.masses": None}, r"specimen.masses = None: must be a list of numbers \[kg\]"),
+        ({"specimen.masses": [1.0, "2"]}, r"specimen.masses\[1\] = '2': must be a number \[kg\]"),
+        ({"control_rate": "200"}, r"control_rate = '200': must be a number \[Hz\]"),
+        ({"control_rate": True}, r"control_rate = True: must be a number \[Hz\]"),
         ({"control_rate": 333.0}, "control_rate = 333.0: its period"),
-        ({"sensing.history": 1.5}, "sensing.history = 1.5: must be a int"),
+        ({"sensing.history": 1.5}, "sensing.history = 1.5: must be a whole number"),
         ({"limits.curent": 1.0}, "limits.curent'?: did you mean 'limits.current'|did you mean"),
         ({"control_rate.x": 1.0}, "a part of it has a value already"),
         ({"sensing.sensors.load_pressure.signal": "base_shear"}, "must be 'load_pressure'"),

@@ -160,6 +160,18 @@ def test_committed_results_are_still_tables():
     assert re.findall(r"\b\d+\b", said) == ["200", "20"]
 
 
+def test_a_result_of_a_scenario_file_is_of_its_content(tmp_path):
+    from agents.evaluation.benchmark import bench, difference, result_file
+
+    file = tmp_path / "mine.toml"
+    file.write_text('schema = 1\n[motion]\nduration = "0.5 s"\n')
+    result = bench(str(file), 2, ["none"])
+    assert result["scenario"] == "mine" and result_file("out", str(file)).name == "bench_mine.json"
+    assert difference(result, str(file), 2, ["none"], None) == ""
+    file.write_text('schema = 1\ndelay = 1\n[motion]\nduration = "0.5 s"\n')
+    assert "another content" in difference(result, str(file), 2, ["none"], None)
+
+
 def test_the_table_says_where_values_come_from(capsys):
     from rich.console import Console
 

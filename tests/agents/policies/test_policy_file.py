@@ -27,7 +27,7 @@ from agents.training.algorithm_options import (
 from agents.training.config import TrainConfig
 from agents.training.model_factory import new_model
 from agents.training.policy_export import export_policy
-from baselines.lqr.sampled import observable_states
+from baselines.lqr.design_states import observable_states
 from baselines.registry import make_baseline, reference_name
 from shake_env import make_scenario
 from shake_env.errors import PolicyFileError

@@ -11,7 +11,8 @@ from baselines.estimation.estimator_model import EstimatorModel, ModelError
 from baselines.estimation.ground_estimate import ReferenceRecursion, foresight
 from baselines.estimation.kalman import KalmanFilter
 from baselines.estimation.lqg import EstimatedState, estimated, full_state, lqg
-from baselines.lqr.sampled import lqr, observable_states, sampled_lqr
+from baselines.lqr.design_states import observable_states
+from baselines.lqr.sampled import lqr, sampled_lqr
 from shake_env import make_scenario
 from shake_env.model.plant import REFERENCE_CURRENT
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout

@@ -13,7 +13,7 @@ from baselines.lqr.continuous import (
     printed_added_weight,
     printed_lqr,
 )
-from baselines.lqr.sampled import observable_states
+from baselines.lqr.design_states import observable_states
 from shake_env.errors import ParameterError
 from shake_env.model.parameters import Actuator, GroundFilter, ModelEquations, Specimen
 from shake_env.model.plant import CoupledPlant

@@ -8,10 +8,10 @@ import control
 import numpy as np
 import pytest
 
+from baselines.lqr.design_states import observable_states
 from baselines.lqr.sampled import (
     LinearFeedback,
     lqr,
-    observable_states,
     sampled_lqr,
     stationary_performance,
 )

@@ -88,7 +88,7 @@ def test_mat_gives_every_column_of_acceleration_or_the_one_asked():
         (mat(acc=ACC, dt=-1.0), {"units": "g"}, "above 0"),
         (mat(acc=ACC, dt=0.005, units="g"), {"units": "m/s^2"}, "differs from the given m/s"),
         (mat(t=TIME, acc=ACC, dt=0.02), {"units": "g"}, "differs"),
-        (mat(a=ACC, b=ACC[:50], dt=0.005), {"units": "g"}, r"several lengths: choose one.*--table"),
+        (mat(a=ACC, b=ACC[:50], dt=0.005), {"units": "g"}, r"several lengths: choose one.*--sheet"),
         (mat(a=ACC, dt=0.005), {"units": "g", "table": "z"}, r"no variable of numbers.*a \(60, 1\)"),
         (mat(name="made up", dt=0.005), {"units": "g"}, "must hold a vector"),
         (mat(a=ACC * 1j, dt=0.005), {"units": "g"}, "must hold a vector"),
@@ -209,7 +209,7 @@ def test_workbooks_as_laboratories_write_them(sheets, options):
 
 
 def test_workbooks_that_do_not_fit_are_refused():
-    with pytest.raises(RecordError, match=r"sheets: a, b.*--table"):
+    with pytest.raises(RecordError, match=r"sheets: a, b.*--sheet"):
         parse_motion("made", workbook({"a": PLAIN, "b": PLAIN}))
     with pytest.raises(RecordError, match=r"c.*no filled sheet; there are: a"):
         parse_motion("made", workbook({"a": PLAIN}), table="c")

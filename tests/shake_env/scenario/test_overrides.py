@@ -6,7 +6,7 @@ import pytest
 from agents.scenario_options import ScenarioOptions, assignment
 from shake_env import RECORD_NAMES, Limits, MotionSet, RecordedMotion, Uniform, make_scenario
 from shake_env.errors import ParameterError, ScenarioError
-from shake_env.scenario.field_paths import with_fields
+from shake_env.scenario.builder import with_fields
 from shake_env.scenario.limits import REASONS
 from shake_env.simulation.simulation import Simulation
 
