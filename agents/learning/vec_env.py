@@ -19,8 +19,9 @@ from shake_env.env import single_spaces
 from shake_env.model.parameters import FloatArray
 from shake_env.scenario.limits import OBSERVATION_BOUND, REASONS
 from shake_env.scenario.scenario import Scenario
+from shake_env.simulation.engine import StepResult
 from shake_env.simulation.sensors import SensorMemory
-from shake_env.simulation.simulation import Simulation, StepResult, checked_action, episode_stream
+from shake_env.simulation.simulation import Simulation, checked_action, episode_stream
 
 
 class ShakeTableVecEnv(VecEnv):
@@ -134,7 +135,7 @@ class ShakeTableVecEnv(VecEnv):
         return {
             "terminal_observation": self._shown[lane].copy(),
             "TimeLimit.truncated": bool(result.truncated[lane]),
-            **self._episode_info(lane, int(result.outcome.broken[lane])),
+            **self._episode_info(lane, int(result.broken[lane])),
         }
 
     def _episode_info(self, lane: int, broken: int) -> dict[str, Any]:

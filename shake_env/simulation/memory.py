@@ -11,7 +11,6 @@ from shake_env.errors import ScenarioError
 from shake_env.model.discretization import MOST_DIRECTIONS
 from shake_env.motion.targets import FilteredNoise, MotionSet
 from shake_env.scenario.scenario import Scenario
-from shake_env.simulation.excitation import BLOCK_STEPS, CHUNK
 
 NUMBER = 8  # [bytes]
 SHARE = 0.8  # of what is free
@@ -45,14 +44,11 @@ def memory_needed(scenario: Scenario, lanes: int) -> int:
     )
     plants = lanes if scenario.uncertainty.active else 1
     samples, spacing = scenario.sensing.preview_steps(scenario.control_period, scenario.physics_step)
-    length = BLOCK_STEPS + math.ceil(samples * spacing / k)
+    length = 2 + math.ceil(samples * spacing / k)  # of the ring, and of the copy that a start is made on
     readings = 0 if scenario.sensing.full_state else len(scenario.sensing.sensors or ()) + stories
     observation = scenario.observation.size
-    buffers = (
-        2 * length * width * lanes
-        + length * draws * min(lanes, CHUNK)
-        + lanes * (7 * observation + 4 * (table + 2 * k) + 4 * BLOCK_STEPS * (readings + 1))
-    )
+    # The last ones are the memories that steps hand out in turn.
+    buffers = lanes * (length * width + table + 2 * k + 4 * readings + 40 + 3 * (observation // 2 + 20))
     return NUMBER * (design * plants + buffers + _motions(scenario))
 
 

@@ -304,19 +304,8 @@ class TorchTables:
 
     def _ahead(self, steps: int) -> tuple[GroundPeriod, torch.Tensor]:
         """Return ground (H, N, ...) and sensor noise (H, N, s) of the coming control periods."""
-        simulation = self.env.simulation
-        rows: dict[str, list[Any]] = {field.name: [] for field in fields(GroundPeriod)}
-        noise = []
-        for _ in range(steps):
-            period = simulation.excitation.advance()
-            for name, column in rows.items():
-                part = getattr(period, name)
-                column.append(None if part is None else part.copy())
-            noise.append(simulation.noise.advance().copy())
-        stacked = {
-            name: None if column[0] is None else np.stack(column) for name, column in rows.items()
-        }
-        return GroundPeriod(**stacked).like(self.like), as_like(np.stack(noise), self.like)
+        ground, noise = self.env.simulation.ground_ahead(steps)
+        return ground.like(self.like), as_like(noise, self.like)
 
 
 def _part(ground: GroundPeriod, which: int | slice) -> GroundPeriod:
