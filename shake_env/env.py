@@ -11,7 +11,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from shake_env.errors import NumericalError, ScenarioError
-from shake_env.kernels.layout import INFO, TERMINATED
+from shake_env.kernels.layout import BROKEN, INFO, REWARD, TERMINATED
 from shake_env.model.inputs import checked_action, checked_options, checked_seed
 from shake_env.motion.targets import Motion
 from shake_env.rendering.window import FRAME_RATE, RENDER_MODES, make_view, metadata
@@ -187,20 +187,19 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         if not self._running:
             raise ScenarioError("step()", "no episode is running", "call reset() first")
-        step = self._simulation.step_alone if self._view is None else self._shown_step
-        observation, report, ends = step(single_action(action))
-        broken, reward = report.pop(), report.pop()
-        info = _info(report)
-        if ends == 0:
+        step = self._simulation.engine.step_alone if self._view is None else self._shown_step
+        observation, report, ended = step(single_action(action))
+        info, reward = _info(report), report[REWARD]
+        if ended == 0:
             return observation, reward, False, False, info
         self._running = False
-        if ends == TERMINATED:
+        if ended == TERMINATED:
             refuse_overflow(reward)
-            info["broken_limit"] = REASONS[int(broken) - 1]
-        return observation, reward, ends == TERMINATED, ends != TERMINATED, info
+            info["broken_limit"] = REASONS[int(report[BROKEN]) - 1]
+        return observation, reward, ended == TERMINATED, ended != TERMINATED, info
 
     def _shown_step(self, action: float) -> tuple[NDArray[np.float32], list[float], int]:
-        """Step as `Simulation.step_alone` does, and keep what a picture shows."""
+        """Step as `Engine.step_alone` does, and keep what a picture shows."""
         result = self._simulation.step(np.array([action]))
         assert self._view is not None  # the caller asked
         self._view.record(result)
@@ -234,7 +233,7 @@ def _info(report: list[float]) -> dict[str, Any]:
     (
         table_acceleration, target_acceleration, base_shear, reference_base_shear, current,
         table_displacement, table_velocity, load_pressure, acceleration_cost, force_cost, current_cost,
-        limit_cost, soft_limit_cost,
+        limit_cost, soft_limit_cost, _, _,
     ) = report  # fmt: skip
     return {
         "table_acceleration": table_acceleration,

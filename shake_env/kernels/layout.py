@@ -20,6 +20,7 @@ REPORT = (
     "current_cost", "limit_cost", "soft_limit_cost", "reward", "broken",
 )  # fmt: skip
 INFO = REPORT[:13]
+LIMIT_COST, REWARD, BROKEN = (REPORT.index(name) for name in ("limit_cost", "reward", "broken"))
 
 # Rows of a record. Whole numbers: key, period, cursor, shape and recorded.
 FIELDS = (

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from shake_env.dynamics.ground import GroundMaps, GroundPeriod
 from shake_env.errors import ScenarioError
+from shake_env.kernels.layout import BROKEN, LIMIT_COST, REWARD
 from shake_env.model.parameters import FloatArray
 from shake_env.motion.targets import EpisodeMotion
 from shake_env.scenario.scenario import Scenario
@@ -68,19 +69,19 @@ class StepResult:
     @property
     def reward(self) -> FloatArray:
         """Minus stage cost, minus the cost of a broken limit (N,)."""
-        reward: FloatArray = self.report[13]
+        reward: FloatArray = self.report[REWARD]
         return reward
 
     @property
     def broken(self) -> FloatArray:
         """0, or 1 + index in limits.REASONS of the limit that was broken (N,)."""
-        broken: FloatArray = self.report[14]
+        broken: FloatArray = self.report[BROKEN]
         return broken
 
     @property
     def limit_cost(self) -> FloatArray:
         """What a broken limit cost (N,)."""
-        cost: FloatArray = self.report[11]
+        cost: FloatArray = self.report[LIMIT_COST]
         return cost
 
     @cached_property

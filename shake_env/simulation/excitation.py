@@ -24,6 +24,7 @@ from shake_env.motion.targets import EpisodeMotion, FilteredNoise, RecordedMotio
 from shake_env.simulation.motion_shapes import first_target, initial_filter_state, shape
 
 IntArray = NDArray[np.int64]
+DRAWN = 32  # control periods whose normal numbers are made at once
 
 
 def periods_ahead(preview: tuple[int, int], substeps: int) -> int:
@@ -74,6 +75,8 @@ class Excitation:
         self._shapes: list[FloatArray | None] = [None] * lanes
         self.key = np.zeros((lanes, 2), dtype=np.int64)
         self.period = np.zeros(lanes, dtype=np.int64)  # control periods computed since each lane's start
+        self._made = np.zeros((lanes, DRAWN, self._draws))  # normal numbers of coming periods
+        self._made_from = np.full(lanes, -DRAWN, dtype=np.int64)  # the first of them
         self._slipping = np.zeros((lanes, 3 * discrete.layout.stories))  # of a yielding reference
         self._last_target = np.zeros(lanes)
         # The present period and those ahead of it.
@@ -98,6 +101,7 @@ class Excitation:
         index = np.asarray(lanes, dtype=int)
         dt, ground = self._discrete.dt, self._discrete.plant.ground
         self.period[index] = self._slipping[index] = 0
+        self._made_from[index] = -DRAWN
         for row in self._known:
             row[index] = 0.0
         for lane, motion, key in zip(lanes, motions, keys, strict=True):
@@ -141,10 +145,7 @@ class Excitation:
 
     def _noise(self, lanes: NDArray[np.intp], exogenous: FloatArray) -> FloatArray:
         """Return a period of filtered noise."""
-        count, part = self._draws * self._finer, self.period[lanes] % self._finer
-        drawn = normals(self.key[lanes], self.period[lanes] // self._finer, GROUND, count)
-        drawn = drawn.reshape(len(lanes), self._finer, self._discrete.substeps, -1)
-        drawn = drawn[np.arange(len(lanes)), part]
+        drawn = self._drawn(lanes)
         for n, lane in enumerate(lanes):
             if (intensity := self._shapes[lane]) is not None:
                 drawn[n] *= intensity[min(self.period[lane], len(intensity) - 1), :, None]
@@ -152,6 +153,26 @@ class Excitation:
         joined = np.concatenate([exogenous, drawn.reshape(len(lanes), -1)], axis=1)
         row: FloatArray = apply(self.maps.pick(lanes).noise, joined)
         return row
+
+    def _drawn(self, lanes: NDArray[np.intp]) -> FloatArray:
+        """Return the normal numbers (lanes, k, directions) of the next period of some lanes.
+
+        They are made for several periods at once, which takes hardly longer than for one.
+        """
+        period, k = self.period, self._discrete.substeps
+        place = period[lanes] - self._made_from[lanes]
+        anew = lanes[(place < 0) | (place >= DRAWN)]
+        if len(anew):
+            self._made_from[anew] = period[anew]
+            coarse = (period[anew][:, None] + np.arange(DRAWN)) // self._finer
+            count = self._draws * self._finer
+            numbers = normals(self.key[anew][:, None], coarse, GROUND, count)
+            parts = (period[anew][:, None] + np.arange(DRAWN)) % self._finer
+            numbers = numbers.reshape(len(anew), DRAWN, self._finer, self._draws)
+            self._made[anew] = np.take_along_axis(numbers, parts[:, :, None, None], axis=2)[:, :, 0]
+        drawn: FloatArray = self._made[lanes, period[lanes] - self._made_from[lanes]]
+        shaped: FloatArray = drawn.reshape(len(lanes), k, -1)
+        return shaped
 
     def _recorded(self, lanes: NDArray[np.intp], exogenous: FloatArray) -> FloatArray:
         """Return a period of recorded motions."""
@@ -198,3 +219,4 @@ class Excitation:
         for name in ("key", "period", "slipping", "last_target"):
             getattr(self, name if name in ("key", "period") else f"_{name}")[...] = snapshot[name]
         self._known = list(copy.deepcopy(snapshot["known"]))
+        self._made_from[:] = -DRAWN

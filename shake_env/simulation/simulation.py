@@ -148,17 +148,6 @@ class Simulation:
         """Advance every table by one control period under `action` (N,), finite."""
         return self.engine.step(action)
 
-    def step_alone(self, action: float) -> tuple[Observations, list[float], int]:
-        """Advance the one table.
-
-        Returns
-        -------
-        observation, report, ended
-            (n,); the rows of `layout.REPORT` as numbers; 1 if the episode is terminated, 2 if truncated,
-            else 0.
-        """
-        return self.engine.step_alone(action)
-
     def rest(self, lanes: BoolArray) -> None:
         """Put the state of some tables (N,) of bool to rest, in the middle of their episodes."""
         self.engine.rest(lanes)
