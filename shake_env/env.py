@@ -260,10 +260,13 @@ def single_action(action: Any) -> float:
     ActionError
         If the action has another shape or is not finite.
     """
-    if type(action) is np.ndarray and action.shape == (1,) and action.dtype.kind == "f":
-        value: float = action.item()
-        if isfinite(value):
-            return value
+    if type(action) is np.ndarray:
+        try:
+            (value,) = action.tolist()
+            if isfinite(value):
+                return float(value)
+        except (TypeError, ValueError):  # another shape or type: refused below
+            pass
     return float(checked_action(action, (1,))[0])
 
 

@@ -69,7 +69,7 @@ SIZES = (
     "first", "last", "mode", "tables", "padded", "record_size", "matrices_size", "own", "order",
     "commands", "controlled", "substeps", "stories", "filter", "reference", "drive", "width", "stride",
     "slots", "ahead", "rank", "draws", "lifted", "yielding", "readings", "entry", "history", "shown",
-    "columns", "flow", "force", "rate", "slips", "friction", "static", "spool_velocity",
+    "segments", "columns", "flow", "force", "rate", "slips", "friction", "static", "spool_velocity",
     "whole_exponent", "storeys_seen", "floor_columns",
 )  # fmt: skip
 ADDRESSES = (

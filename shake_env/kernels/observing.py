@@ -5,12 +5,15 @@ Beside :mod:`shake_env.simulation.sensors`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
+
+from llvmlite import ir
 
 from shake_env.kernels.ground import BLOCK_POINTERS, Block, copy, the_block
 from shake_env.kernels.normals import draw
 from shake_env.kernels.parts import WHOLE
-from shake_env.kernels.vectors import F32, I64, Code, Value, whole
+from shake_env.kernels.vectors import F32, I64, VECTOR, Code, Rows, Value, Variable, whole
 from shake_env.model.random_numbers import A_BLOCK, SENSORS
 
 TURNED = 16  # columns and tables that are turned round in registers
@@ -84,18 +87,16 @@ def _show(code: Code, record: Any, matrices: Any, room: Any, index: Any, cursor:
         look = seen
     outside = [code.variable(code.zero() > 1.0) for _ in range(0, code.block, code.wide)]
     bound = code.scalar("observation_bound")
-    with code.loop(shown) as i:
-        source = b.gep(sources, [b.mul(i, whole(3))])
-        row, ahead, stride = (b.load(b.gep(source, [whole(part)])) for part in range(3))
+    with code.loop(code.whole("segments")) as segment:
+        source = b.gep(sources, [b.mul(segment, whole(5))])
+        parts = (b.load(b.gep(source, [whole(part)])) for part in range(5))
+        start, count, row, ahead, stride = parts
         slot = _wrapped(b, b.add(cursor, ahead), slots)
-        row = b.add(row, b.mul(slot, stride))
-        scale = code.entry("inverse_scales", i)
-        for v, found in enumerate(outside):
-            value = block.record.get(row, v * code.wide) * scale
-            far = value.absolute().beyond(bound)
-            found.set(Value(b, b.or_(found.get().ir, far.ir)))
-            place = b.add(b.mul(i, whole(code.block)), whole(v * code.wide))
-            code.store(look, place, value.to(F32))
+        rows = block.record.at(b.add(row, b.mul(slot, stride)))
+        if code.block == 1:
+            _scaled_alone(code, rows, look, start, count, outside[0])
+        else:
+            _scaled(code, rows, look, start, count, outside)
     # Only the drifting position, or a table that has just diverged, comes near the bound.
     for v, found in enumerate(outside):
         with b.if_then(found.get().any(), likely=False), code.loop(shown) as i:
@@ -105,6 +106,37 @@ def _show(code: Code, record: Any, matrices: Any, room: Any, index: Any, cursor:
             code.store(look, place, (value.absolute().beyond(float("inf"))).choose(0.0, bounded))
     if code.block > 1:
         _turn(code, look, seen, shown)
+
+
+def _scaled(
+    code: Code, rows: Rows, look: Any, start: Any, count: Any, outside: Sequence[Variable]
+) -> None:
+    """Write a segment of a block; note where an entry is beyond its bound."""
+    b, bound = code.b, code.scalar("observation_bound")
+    with code.loop(count) as j:
+        i = b.add(start, j)
+        scale = code.entry("inverse_scales", i)
+        for v, found in enumerate(outside):
+            value = rows.get(j, v * code.wide) * scale
+            far = value.absolute().beyond(bound)
+            found.set(Value(b, b.or_(found.get().ir, far.ir)))
+            place = b.add(b.mul(i, whole(code.block)), whole(v * code.wide))
+            code.store(look, place, value.to(F32))
+
+
+def _scaled_alone(code: Code, rows: Rows, look: Any, start: Any, count: Any, outside: Variable) -> None:
+    """Write a segment of a table alone, eight entries at a time; the next one comes over the last."""
+    b = code.b
+    scales = b.gep(code.pointer("numbers"), [b.add(code.whole("vector_inverse_scales"), start)])
+    places = Value(b, ir.Constant(ir.VectorType(I64, VECTOR), list(range(VECTOR))))
+    with code.loop(b.udiv(b.add(count, whole(VECTOR - 1)), whole(VECTOR))) as turn:
+        j = b.mul(turn, whole(VECTOR))
+        value = code.load(rows.pointer, j, VECTOR) * code.load(scales, j, VECTOR)
+        meant = places < code.value(b.sub(count, j))
+        far = value.absolute().beyond(code.scalar("observation_bound"))
+        some = Value(b, b.and_(meant.ir, far.ir)).any()
+        outside.set(Value(b, b.or_(outside.get().ir, some)))
+        code.store(look, b.add(start, j), value.to(F32))
 
 
 def _wrapped(b: Any, slot: Any, slots: Any) -> Any:

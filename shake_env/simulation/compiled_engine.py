@@ -31,13 +31,12 @@ from shake_env.simulation.engine import (
 )
 from shake_env.simulation.motion_shapes import first_target, initial_filter_state, shape
 from shake_env.simulation.output_pool import OutputPool
-from shake_env.simulation.packing import lane_rows, matrices, pack
+from shake_env.simulation.packing import BEHIND, lane_rows, matrices, pack
 from shake_env.simulation.sensors import SensorMemory
 from shake_env.simulation.transition import Outcome
 
 FOREVER = 1 << 62  # control periods of a table that only fills up a block
 LINE = 64  # [bytes] of a cache
-BEHIND = 32  # numbers behind the matrices that a table alone reads and never uses
 _AT_REPORT, _AT_SEEN, _AT_ENDS = (PLACES[f"at_{name}"] for name in ("report", "seen", "ends"))
 # What a snapshot holds of each table, by field.
 _CARRIED = ("key", "period", "state", "slipping", "last_target")

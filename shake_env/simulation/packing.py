@@ -21,6 +21,7 @@ from shake_env.simulation.engine import Tables
 from shake_env.simulation.excitation import periods_ahead
 
 IntArray = NDArray[np.int64]
+BEHIND = 32  # numbers behind those of a table alone, which it reads and never uses
 MOST_REPEATED = 16  # a whole exponent up to which a power is repeated multiplication
 
 
@@ -42,7 +43,8 @@ class Packed:
     vectors: dict[str, int]  # where each begins in the numbers
     matrices: dict[str, tuple[int, int]]  # where each begins, and its length
     matrices_size: int
-    sources: IntArray  # (n, 3) of each entry of an observation: row, periods ahead, rows of a slot or 0
+    # (segments, 5) of an observation: first entry, entries, row, periods ahead, and rows of a slot or 0
+    sources: IntArray
     signals: IntArray  # (s,) row of each reading's signal
 
 
@@ -50,6 +52,8 @@ def pack(tables: Tables, block: int) -> Packed:
     """Lay out the tables of a scenario in blocks of 1 or more."""
     sizes = _sizes(tables)
     rows, record_rows = _slices(_field_rows(tables, sizes, block), FIELDS)
+    sources = _sources(tables, sizes, rows)
+    sizes["segments"] = len(sources)
     room, room_rows = _slices(_room_rows(sizes, block), ROOM)
     numbers, vectors = _numbers(tables, sizes)
     places, start = {}, 0
@@ -60,13 +64,13 @@ def pack(tables: Tables, block: int) -> Packed:
         sizes=sizes,
         rows=rows,
         room=room,
-        record_rows=record_rows,
+        record_rows=record_rows + BEHIND // 4,
         room_rows=room_rows,
         numbers=numbers,
         vectors=vectors,
         matrices=places,
         matrices_size=start,
-        sources=_sources(tables, sizes, rows),
+        sources=sources,
         signals=_signals(tables, sizes, rows),
     )
 
@@ -262,7 +266,9 @@ def _numbers(tables: Tables, sizes: Mapping[str, int]) -> tuple[FloatArray, dict
     for name, values in zip(VECTORS, found, strict=True):
         starts[name] = start
         start += len(values)
-    return np.concatenate([np.array(list(scalars.values()), dtype=float), *found]), starts
+    # Numbers behind, which a table alone reads and never uses.
+    values = [np.array(list(scalars.values()), dtype=float), *found, np.zeros(BEHIND)]
+    return np.concatenate(values), starts
 
 
 def _sources(tables: Tables, sizes: Mapping[str, int], rows: Mapping[str, slice]) -> IntArray:
@@ -281,7 +287,14 @@ def _sources(tables: Tables, sizes: Mapping[str, int], rows: Mapping[str, slice]
         found.append((ring + filter_states + reference + ahead % k, 1 + ahead // k, stride))
     found += [(rows["action"].start, 0, 0)] * layout.sensing.last_action
     found += [(rows["past"].start + i, 0, 0) for i in range(sizes["history"])]
-    return np.array(found, dtype=np.int64).reshape(-1, 3)
+    segments: list[list[int]] = []
+    for i, (row, ahead, rows_of_slot) in enumerate(found):
+        _, count, *place = segments[-1] if segments else (0, 0)
+        if count and place == [row - count, ahead, rows_of_slot]:
+            segments[-1][1] += 1
+        else:
+            segments.append([i, 1, row, ahead, rows_of_slot])
+    return np.array(segments, dtype=np.int64)
 
 
 def _signals(tables: Tables, sizes: Mapping[str, int], rows: Mapping[str, slice]) -> IntArray:
