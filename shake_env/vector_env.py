@@ -24,6 +24,7 @@ from shake_env.simulation.memory import check_memory
 from shake_env.simulation.simulation import Simulation, episode_stream
 
 NUM_ENVS = Range(1, 10_000_000, whole=True)
+THREADS = Range(1, 1024, whole=True)
 _KEYS = tuple((key, f"_{key}") for key in INFO_KEYS)  # of a value, and of whether a lane has one
 
 
@@ -60,6 +61,8 @@ class ShakeTableVectorEnv(
         its next episode. ``SAME_STEP``: the ending step starts it and hands the last observation and
         info over as ``final_obs`` and ``final_info``. ``DISABLED``: the caller resets, with
         ``reset(options={"reset_mask": mask})``.
+    threads
+        Threads that step the tables, where there are 512 tables or more for each.
     """
 
     def __init__(
@@ -69,10 +72,12 @@ class ShakeTableVectorEnv(
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        threads: int = 1,
         **overrides: Unpack[Overrides],
     ) -> None:
         refuse_rendering(render_mode)
         check("num_envs", num_envs, NUM_ENVS)
+        check("threads", threads, THREADS)
         self.num_envs = int(num_envs)
         self.scenario = make_scenario(scenario, overrides)
         check_memory(self.scenario, self.num_envs)  # before the spaces, which hold bounds for each lane
@@ -82,7 +87,7 @@ class ShakeTableVectorEnv(
         self.single_observation_space, self.single_action_space = single_spaces(self.scenario)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._simulation = Simulation(self.scenario, self.num_envs)
+        self._simulation = Simulation(self.scenario, self.num_envs, threads=int(threads))
         self._streams: list[np.random.Generator | None] = [None] * self.num_envs
         self._ended = np.ones(self.num_envs, dtype=bool)  # lanes whose episode is over
         self._some_ended = True

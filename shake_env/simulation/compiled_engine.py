@@ -29,6 +29,7 @@ from shake_env.simulation.engine import (
     StepResult,
     Tables,
 )
+from shake_env.simulation.helper_thread import Helper
 from shake_env.simulation.motion_shapes import first_target, initial_filter_state, shape
 from shake_env.simulation.output_pool import OutputPool
 from shake_env.simulation.packing import BEHIND, lane_rows, matrices, pack
@@ -37,6 +38,7 @@ from shake_env.simulation.transition import Outcome
 
 FOREVER = 1 << 62  # control periods of a table that only fills up a block
 LINE = 64  # [bytes] of a cache
+A_THREAD = 512  # tables that a thread has at least: fewer take no longer than to wake it
 _AT_REPORT, _AT_SEEN, _AT_ENDS = (PLACES[f"at_{name}"] for name in ("report", "seen", "ends"))
 # What a snapshot holds of each table, by field.
 _CARRIED = ("key", "period", "state", "slipping", "last_target")
@@ -57,6 +59,7 @@ class CompiledEngine:
         copies = self._blocks if self._own else 1
         self._records = _aligned((self._blocks, packed.record_rows, block))
         self._wholes = self._records.view(np.int64)
+        self._record_alone, self._wholes_alone = self._records[0, :, 0], self._wholes[0, :, 0]
         self._memory = _aligned((copies * packed.matrices_size * depth + BEHIND,))
         self._matrices = self._memory[: copies * packed.matrices_size * depth].reshape(
             copies, packed.matrices_size, depth
@@ -79,8 +82,11 @@ class CompiledEngine:
         self.redrawn(range(lanes))
         self._pool = OutputPool(lanes, self._padded, packed.sizes["shown"])
         self._period = period_of(block)
+        self._entries = self._shapes.entries
         self._table = self._new_table(STEP)
         self._address = self._table.ctypes.data
+        self._parts: list[IntArray] = []
+        self._helpers = self._new_helpers(min(tables.threads, self._blocks * block // A_THREAD))
         self._other = self._new_table(GROUND)
         # Of a table that is stepped alone, whose memory nobody is given.
         alone, address = self._pool._new()
@@ -122,6 +128,18 @@ class CompiledEngine:
             | {f"vector_{name}": start for name, start in packed.vectors.items()}
         )
 
+    def _new_helpers(self, threads: int) -> list[Helper]:
+        """Return threads that step a share of the blocks each; the caller's steps the first share."""
+        bounds = [round(self._blocks * i / max(threads, 1)) for i in range(max(threads, 1) + 1)]
+        self._table[PLACES["last"]] = bounds[1]
+        self._rooms = [np.zeros_like(self._room) for _ in bounds[2:]]
+        for first, last, room in zip(bounds[1:], bounds[2:], self._rooms, strict=False):
+            part = self._new_table(STEP)
+            part[PLACES["first"]], part[PLACES["last"]] = first, last
+            part[PLACES["at_room"]] = room.ctypes.data
+            self._parts.append(part)
+        return [Helper(self._period, part) for part in self._parts]
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle by making the arrays anew, whose addresses are kept."""
         return _made, (self._tables, self.snapshot())
@@ -149,6 +167,8 @@ class CompiledEngine:
     def start(self, lanes: Sequence[int], episodes: Sequence[Episode]) -> Observations:
         """Put tables to rest at the beginning of their episodes; return their observations."""
         self.number += 1
+        if self._block == 1:
+            return self._start_alone(episodes[0])
         index = np.asarray(lanes, dtype=int)
         self.step_count[index] = 0
         self.episode_steps[index] = [each.steps for each in episodes]
@@ -158,15 +178,47 @@ class CompiledEngine:
         self._point_to_shapes()
         shown = np.empty((len(lanes), self._packed.sizes["shown"]), dtype=np.float32)
         blocks = index // self._block
-        for number in np.unique(blocks) if len(lanes) > 1 else blocks:
+        for number in np.unique(blocks):
             which = np.flatnonzero(blocks == number)
             part = [episodes[int(i)] for i in which]
             shown[which] = self._begin(int(number), index[which] % self._block, part, shapes[which])
         return shown
 
+    def _start_alone(self, episode: Episode) -> Observations:
+        """Put the one table to rest at the beginning of its episode; return its observation (1, n)."""
+        self.motions[0] = motion = episode.motion
+        rows, record, wholes = self._packed.rows, self._record_alone, self._wholes_alone
+        self._counters[0, 0], self._counters[1, 0] = 0, episode.steps
+        record[rows["state"].start :] = 0.0
+        wholes[rows["key"]] = episode.key
+        wholes[rows["period"].start] = 0
+        wholes[rows["recorded"].start] = isinstance(motion, RecordedMotion)
+        record[rows["amplitude"].start] = motion.amplitude
+        record[rows["severity"].start] = episode.severity
+        wholes[rows["shape"].start] = self._shapes.of([motion], self._used)[0]
+        self._point_to_shapes()
+        self._set_to_time_zero(record, wholes, motion)
+        self._call(START, at_seen=int(self._alone[_AT_SEEN]))
+        shown: Observations = self._seen_alone[None].copy()
+        return shown
+
+    def _set_to_time_zero(self, record: FloatArray, wholes: IntArray, motion: EpisodeMotion) -> None:
+        """Write the ground at time 0 to a table's record (rows,), where it is not at rest."""
+        if not isinstance(motion, RecordedMotion):
+            return
+        discrete, packed = self._tables.scenario.discrete, self._packed
+        cursor = int(wholes[packed.rows["cursor"].start])
+        slot = packed.rows["ring"].start + cursor * packed.sizes["stride"]
+        initial = initial_filter_state(motion, discrete.plant.ground, discrete.dt)
+        record[slot : slot + len(initial)] = initial
+        if packed.sizes["yielding"]:
+            record[packed.rows["last_target"]] = first_target(motion, discrete.dt)
+
     def _point_to_shapes(self) -> None:
-        for each in (self._table, self._other, self._alone):
-            each[PLACES["at_shapes"]] = self._shapes.entries.ctypes.data
+        if self._shapes.entries is not self._entries:
+            self._entries = self._shapes.entries
+            for each in (self._table, self._other, self._alone, *self._parts):
+                each[PLACES["at_shapes"]] = self._entries.ctypes.data
 
     def _used(self) -> set[int]:
         """Return the numbers of the shapes that tables have."""
@@ -181,7 +233,7 @@ class CompiledEngine:
         taken.
         """
         rows, block = self._packed.rows, self._block
-        record = self._records[number] if block == 1 else _aligned(self._records[number].shape)
+        record = _aligned(self._records[number].shape)
         record[:] = self._records[number]
         wholes = record.view(np.int64)
         record[rows["state"].start :, columns] = 0.0
@@ -192,16 +244,8 @@ class CompiledEngine:
         wholes[rows["recorded"], columns] = [isinstance(motion, RecordedMotion) for motion in motions]
         record[rows["amplitude"], columns] = [motion.amplitude for motion in motions]
         record[rows["severity"], columns] = [each.severity for each in episodes]
-        if any(isinstance(motion, RecordedMotion) for motion in motions):
-            discrete = self._tables.scenario.discrete
-            slot = (
-                rows["ring"].start + int(wholes[rows["cursor"].start, 0]) * self._packed.sizes["stride"]
-            )
-            for column, motion in zip(columns, motions, strict=True):
-                initial = initial_filter_state(motion, discrete.plant.ground, discrete.dt)
-                record[slot : slot + len(initial), column] = initial
-                if self._packed.sizes["yielding"]:
-                    record[rows["last_target"], column] = first_target(motion, discrete.dt)
+        for column, motion in zip(columns, motions, strict=True):
+            self._set_to_time_zero(record[:, column], wholes[:, column], motion)
         shown = self._packed.sizes["shown"]
         seen = np.empty(block * shown + LINE // 4, dtype=np.float32)
         self._call(
@@ -211,8 +255,7 @@ class CompiledEngine:
             at_records=record.ctypes.data - number * self._records[0].nbytes,
             at_seen=seen.ctypes.data - 4 * number * block * shown,
         )
-        if block > 1:
-            self._records[number][:, columns] = record[:, columns]
+        self._records[number][:, columns] = record[:, columns]
         return seen[: block * shown].reshape(block, shown)[columns]
 
     def _call(self, mode: int, **values: int) -> None:
@@ -232,9 +275,14 @@ class CompiledEngine:
         self.number += 1
         self._given[: len(action)] = action
         memory, address = self._pool.take()
-        place = self._table
-        place[_AT_REPORT], place[_AT_SEEN], place[_AT_ENDS] = self._pool.addresses(address)
+        addresses = self._pool.addresses(address)
+        for place in (self._table, *self._parts):
+            place[_AT_REPORT], place[_AT_SEEN], place[_AT_ENDS] = addresses
+        for helper in self._helpers:
+            helper.begin()
         ended = self._period(self._address)
+        for helper in self._helpers:
+            ended |= helper.end()
         report, seen, terminated, truncated = self._pool.views(memory)
         return StepResult(self, seen, report, terminated, truncated, ended)
 

@@ -35,6 +35,7 @@ class Tables:
     preview: tuple[int, int]  # target samples shown ahead, and the physics steps between them
     limit_rate: float  # what a broken limit costs a control period that remains
     limit_steps: float  # the most periods that count; infinite for all
+    threads: int = 1  # of the compiled engine
 
 
 @dataclass(frozen=True)

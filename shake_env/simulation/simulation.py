@@ -43,6 +43,8 @@ class Simulation:
         What is simulated.
     lanes
         Number of tables N.
+    threads
+        Threads that step them, where there are 512 tables or more for each.
 
     Raises
     ------
@@ -52,7 +54,7 @@ class Simulation:
         If a parameter combination leaves a matrix without digits.
     """
 
-    def __init__(self, scenario: Scenario, lanes: int) -> None:
+    def __init__(self, scenario: Scenario, lanes: int, *, threads: int = 1) -> None:
         check_memory(scenario, lanes)
         self.scenario = scenario
         self.lanes = lanes
@@ -71,6 +73,7 @@ class Simulation:
             preview=scenario.sensing.preview_steps(period, scenario.physics_step),
             limit_rate=scenario.limits.cost_factor * scenario.stage_cost.motionless(scenario.plant),
             limit_steps=math.inf if horizon is None else max(1, round(horizon / period)),
+            threads=threads,
         )
         self.engine = _engine(self.tables)
 

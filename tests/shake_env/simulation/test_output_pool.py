@@ -110,5 +110,4 @@ def test_an_info_knows_what_it_holds_and_what_not():
     fresh["base_shear"] = 1.0
     del fresh["current"]
     assert fresh["base_shear"] == 1.0 and "current" not in fresh and len(fresh) == len(plain) - 1
-    scalars = BatchInfo(np.zeros((15, 0)))
-    assert not scalars == {} and infos()[0] != {}
+    assert infos()[0] != {}
