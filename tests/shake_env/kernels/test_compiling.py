@@ -14,7 +14,7 @@ import numpy as np
 from shake_env import make_scenario, numba_support
 from shake_env.simulation.simulation import Simulation
 for name in ("linear", "laboratory"):
-    scenario = make_scenario(name)
+    numba_support.COMPILED, scenario = True, make_scenario(name)
     batch, alone = Simulation(scenario, 37), Simulation(scenario, 1)
     numba_support.COMPILED = False
     plain = Simulation(scenario, 37)
@@ -83,12 +83,37 @@ def test_a_first_use_takes_seconds_and_two_at_once_share_one_folder(tmp_path):
     assert not list(tmp_path.rglob("*.tmp*"))
 
 
-@pytest.mark.slow
-def test_without_a_folder_that_can_be_written_one_line_says_so(tmp_path):
-    """numba refuses such a folder; what is compiled then stays in memory."""
-    closed = tmp_path / "file"
-    closed.write_text("")
-    out, errors = finished(start(FIRST, closed))
-    assert float(out.split()[0]) < 0.0
-    assert errors.count("no folder for compiled functions can be written") == 1
-    assert "Traceback" not in errors and "uncompiled" not in errors
+def test_without_a_folder_that_can_be_written_one_line_says_so(monkeypatch, caplog):
+    """numba refuses where neither the package's folder nor the user's is open: then in memory."""
+    from numba import int64, njit
+
+    from shake_env.kernels import compiling
+
+    def refusing(*given, cache=False, **options):
+        if cache:
+            raise RuntimeError("cannot cache function: no locator available")
+        return njit(*given, **options)
+
+    monkeypatch.setattr(compiling, "njit", refusing)
+    assert compiling.kept(int64(int64), lambda x: x + 1)(2) == 3
+    assert [record.message for record in caplog.records] == [
+        "no folder for compiled functions can be written: they are compiled in every process "
+        "(NUMBA_CACHE_DIR names another folder)"
+    ]
+
+
+def test_the_stamp_changes_with_every_source(tmp_path, monkeypatch):
+    from shake_env.kernels import compiling
+
+    folder = Path(compiling.__file__).parent
+    for path in (*folder.glob("*.py"), folder.parent / "model" / "random_numbers.py"):
+        copy = tmp_path / path.relative_to(folder.parent)
+        copy.parent.mkdir(exist_ok=True)
+        copy.write_text(path.name)
+    monkeypatch.setattr(compiling, "__file__", str(tmp_path / "kernels" / "compiling.py"))
+    sources = list(tmp_path.rglob("*.py"))
+    found = {compiling.stamp()}
+    for path in sources:
+        path.write_text(path.read_text() + "#")
+        found.add(compiling.stamp())
+    assert len(found) == len(sources) + 1 > 10
