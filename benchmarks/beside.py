@@ -71,7 +71,7 @@ for line in sys.stdin:
     call = made.setdefault(name, None) or MAKE[name]()
     made[name] = call
     count, begin = 0, time.process_time()
-    while time.process_time() - begin < float(spell):
+    while count == 0 or time.process_time() - begin < float(spell):
         call()
         count += 1
     print((time.process_time() - begin) / count, flush=True)

@@ -308,3 +308,25 @@ def test_a_sharp_knee_stays_finite(compiled, monkeypatch):
     # Beyond the yield drift z stands still: it overshoots by what one step drifts, whose rate may be
     # somewhat above the largest seen at the periods' ends.
     assert law.yield_drift < largest < law.yield_drift + 1.5 * scenario.physics_step * fastest
+
+
+def test_threads_do_not_change_a_bit():
+    scenario, lanes = make_scenario("linear", {"duration": 0.1}), 1100
+    one, two = Simulation(scenario, lanes), Simulation(scenario, lanes, threads=2)
+    assert len(two.engine._helpers) == 1 and not one.engine._helpers
+    few = Simulation(scenario, 100, threads=2)
+    assert not few.engine._helpers
+    for sim in (one, two):
+        sim.start(range(lanes), streams(range(lanes), 0))
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        action = rng.normal(0.0, 0.2, lanes)
+        ours, theirs = two.step(action), one.step(action)
+        np.testing.assert_array_equal(ours.report, theirs.report)
+        np.testing.assert_array_equal(ours.observation, theirs.observation)
+        assert ours.ended == theirs.ended
+    assert theirs.ended and ours.truncated.all()
+    twin = pickle.loads(pickle.dumps(two))
+    twin.start([1090], streams([5], 5))
+    two.start([1090], streams([5], 5))
+    np.testing.assert_array_equal(twin.step(action).report, two.step(action).report)
