@@ -89,12 +89,11 @@ class CompiledEngine:
         self._helpers = self._new_helpers(min(tables.threads, self._blocks * block // A_THREAD))
         self._other = self._new_table(GROUND)
         # Of a table that is stepped alone, whose memory nobody is given.
-        alone, address = self._pool._new()
+        pool = OutputPool(1, 1, packed.sizes["shown"])
+        alone, address = pool.take()
         self._alone = self._new_table(STEP)
-        self._alone[_AT_REPORT], self._alone[_AT_SEEN], self._alone[_AT_ENDS] = self._pool.addresses(
-            address
-        )
-        report, seen, _, _ = self._pool.views(alone)
+        self._alone[_AT_REPORT], self._alone[_AT_SEEN], self._alone[_AT_ENDS] = pool.addresses(address)
+        report, seen, _, _ = pool.views(alone)
         self._report_alone, self._seen_alone = report[:, 0], seen[0]
         self._address_alone = self._alone.ctypes.data
 

@@ -13,6 +13,7 @@ from shake_env.motion.targets import FilteredNoise, MotionSet
 from shake_env.scenario.scenario import Scenario
 
 NUMBER = 8  # [bytes]
+GENERATOR = 100  # numbers that a table's random generator takes, and what else Python holds of it
 SHARE = 0.8  # of what is free
 UNKNOWN = 8 * 2**30  # [bytes] taken to be free where the operating system does not say
 EXPONENTIAL = 12  # matrices that scipy's matrix exponential holds at once
@@ -44,11 +45,12 @@ def memory_needed(scenario: Scenario, lanes: int) -> int:
     )
     plants = lanes if scenario.uncertainty.active else 1
     samples, spacing = scenario.sensing.preview_steps(scenario.control_period, scenario.physics_step)
-    length = 2 + math.ceil(samples * spacing / k)  # of the ring, and of the copy that a start is made on
+    slots = 1 + math.ceil(samples * spacing / k)  # of the ring of periods
     readings = 0 if scenario.sensing.full_state else len(scenario.sensing.sensors or ()) + stories
     observation = scenario.observation.size
-    # The last ones are the memories that steps hand out in turn.
-    buffers = lanes * (length * width + table + 2 * k + 4 * readings + 40 + 3 * (observation // 2 + 20))
+    # A record of each table, and two memories that steps hand out in turn, in single precision.
+    record = table + 2 * k + slots * width + 6 * readings + observation + 40
+    buffers = lanes * (record + 3 * (observation // 2 + 16) + GENERATOR)
     return NUMBER * (design * plants + buffers + _motions(scenario))
 
 
