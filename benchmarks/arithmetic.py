@@ -27,9 +27,8 @@ def kernel(spell: float, spells: int) -> dict[str, float]:
     scenario = make_scenario("linear", {"stories": 5})
     simulation = Simulation(scenario, TABLES)
     simulation.start(range(TABLES), [np.random.default_rng(i) for i in range(TABLES)])
-    fused, still = simulation._fused, np.zeros(TABLES)
-    store, row = simulation.excitation.take()
-    matrix, ground = simulation.model.dynamics.matrix, simulation.excitation.maps.noise
+    still = np.zeros(TABLES)
+    matrix, ground = simulation.model.dynamics.matrix, simulation.tables.maps.noise
     step = TABLES * matrix.size
     work: dict[str, tuple[Any, int]] = {
         "matrix product 768 x 768": (lambda: np.matmul(a, a, out=product), 768**3),
@@ -37,9 +36,8 @@ def kernel(spell: float, spells: int) -> dict[str, float]:
         FULL: (_product(whole := _whole(scenario.discrete)), TABLES * whole.size),
         "whole step, with its ground": (lambda: simulation.step(still), step + TABLES * ground.size),
     }
-    if fused is not None:
-        quiet = simulation.noise.take()
-        work["step without its ground"] = (lambda: fused.step(store, *quiet[:1], row, 0), step)
+    alone = simulation.engine.advance_ground
+    work["ground alone, with its copies"] = (alone, TABLES * ground.size)
     times = seconds_each({name: call for name, (call, _) in work.items()}, spell, spells)
     return {name: work[name][1] / each / 1e9 for name, each in times.items()}
 

@@ -12,30 +12,16 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from shake_env.errors import NumericalError, ScenarioError
+from shake_env.kernels.layout import BROKEN, INFO, REWARD, TERMINATED
 from shake_env.model.inputs import checked_action, checked_options, checked_seed
 from shake_env.motion.targets import Motion
 from shake_env.rendering.window import FRAME_RATE, RENDER_MODES, make_view, metadata
 from shake_env.scenario.limits import OBSERVATION_BOUND, REASONS
 from shake_env.scenario.overrides import Overrides, make_scenario
 from shake_env.scenario.scenario import Scenario
-from shake_env.simulation.fused_layout import TERMINATED, TRUNCATED
-from shake_env.simulation.simulation import Simulation, episode_stream, step_report
+from shake_env.simulation.simulation import Simulation, episode_stream
 
-INFO_KEYS = (
-    "table_acceleration",
-    "target_acceleration",
-    "base_shear",
-    "reference_base_shear",
-    "current",
-    "table_displacement",
-    "table_velocity",
-    "load_pressure",
-    "acceleration_cost",
-    "force_cost",
-    "current_cost",
-    "limit_cost",
-    "soft_limit_cost",
-)
+INFO_KEYS = INFO
 
 
 FloatBox = spaces.Space[NDArray[np.float32]]
@@ -98,10 +84,10 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     | scenario | controller | reward per step | return per episode |
     |---|---|---|---|
-    | linear | lqr | -0.2086 | -417.2 |
-    | linear | none | -1.953 | -3906 |
-    | laboratory | lqg | -0.002728 | -5.457 |
-    | laboratory | none | -0.07919 | -158.4 |
+    | linear | lqr | -0.2088 | -417.6 |
+    | linear | none | -2.017 | -4035 |
+    | laboratory | lqg | -0.002758 | -5.516 |
+    | laboratory | none | -0.08243 | -164.9 |
 
     In ``linear`` no controller has a higher expected reward than LQR's, -0.2085 per step in the
     stationary state. White noise of standard deviation 1, with which SB3's PPO begins, gets about -30000
@@ -202,26 +188,23 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         if not self._running:
             raise ScenarioError("step()", "no episode is running", "call reset() first")
-        step = self._simulation.step_alone if self._view is None else self._shown_step
-        observation, report, ends = step(single_action(action))
-        broken, reward = report.pop(), report.pop()
-        info = _info(report)
-        if ends == 0:
+        step = self._simulation.engine.step_alone if self._view is None else self._shown_step
+        observation, report, ended = step(single_action(action))
+        info, reward = _info(report), report[REWARD]
+        if ended == 0:
             return observation, reward, False, False, info
         self._running = False
-        if ends == TERMINATED:
+        if ended == TERMINATED:
             refuse_overflow(reward)
-            info["broken_limit"] = REASONS[int(broken) - 1]
-        return observation, reward, ends == TERMINATED, ends != TERMINATED, info
+            info["broken_limit"] = REASONS[int(report[BROKEN]) - 1]
+        return observation, reward, ended == TERMINATED, ended != TERMINATED, info
 
     def _shown_step(self, action: float) -> tuple[NDArray[np.float32], list[float], int]:
-        """Step as `Simulation.step_alone` does, and keep what a picture shows."""
+        """Step as `Engine.step_alone` does, and keep what a picture shows."""
         result = self._simulation.step(np.array([action]))
         assert self._view is not None  # the caller asked
         self._view.record(result)
-        values = (*step_report(result), result.reward, result.outcome.broken)
-        ends = TERMINATED if result.terminated[0] else TRUNCATED * int(result.truncated[0])
-        return result.observation[0], [float(value[0]) for value in values], ends
+        return result.observation[0], result.report[:, 0].tolist(), result.ended
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return the frame (480, 640, 3) that stands; None with a window or without a render mode.
@@ -251,7 +234,7 @@ def _info(report: list[float]) -> dict[str, Any]:
     (
         table_acceleration, target_acceleration, base_shear, reference_base_shear, current,
         table_displacement, table_velocity, load_pressure, acceleration_cost, force_cost, current_cost,
-        limit_cost, soft_limit_cost,
+        limit_cost, soft_limit_cost, _, _,
     ) = report  # fmt: skip
     return {
         "table_acceleration": table_acceleration,
@@ -278,10 +261,13 @@ def single_action(action: Any) -> float:
     ActionError
         If the action has another shape or is not finite.
     """
-    if type(action) is np.ndarray and action.shape == (1,) and action.dtype.kind == "f":
-        value: float = action.item()
-        if isfinite(value):
-            return value
+    if type(action) is np.ndarray:
+        try:
+            (value,) = action.tolist()
+            if isfinite(value):
+                return float(value)
+        except (TypeError, ValueError):  # another shape or type: refused below
+            pass
     return float(checked_action(action, (1,))[0])
 
 

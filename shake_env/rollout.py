@@ -142,9 +142,9 @@ def rollout(
         sums.add(result, running)
         recorder.add(result, running)
         for lane in np.flatnonzero(running & result.terminated):
-            reasons[lane] = REASONS[int(result.outcome.broken[lane]) - 1]
+            reasons[lane] = REASONS[int(result.broken[lane]) - 1]
         running &= ~(result.terminated | result.truncated)
-        simulation.state[~running] = 0.0
+        simulation.rest(~running)
         start = ~running  # a finished lane stands as one that begins: no controller takes it for a jump
         observation = result.observation
         if t % 64 == 0:

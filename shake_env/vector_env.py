@@ -13,16 +13,19 @@ from numpy.typing import NDArray
 
 from shake_env.env import INFO_KEYS, motion_option, refuse_overflow, refuse_rendering, single_spaces
 from shake_env.errors import ParameterError, ScenarioError
-from shake_env.model.inputs import checked_action, checked_options, checked_seeds
+from shake_env.model.inputs import batch_action, checked_options, checked_seeds
 from shake_env.model.parameters import FloatArray
 from shake_env.model.ranges import Range, check
 from shake_env.scenario.limits import REASONS
 from shake_env.scenario.overrides import Overrides, make_scenario
 from shake_env.scenario.scenario import Scenario
+from shake_env.simulation.batch_info import BatchInfo
+from shake_env.simulation.engine import BoolArray, Observations, StepResult
 from shake_env.simulation.memory import check_memory
-from shake_env.simulation.simulation import BoolArray, Simulation, StepResult, episode_stream
+from shake_env.simulation.simulation import Simulation, episode_stream
 
 NUM_ENVS = Range(1, 10_000_000, whole=True)
+THREADS = Range(1, 1024, whole=True)
 _KEYS = tuple((key, f"_{key}") for key in INFO_KEYS)  # of a value, and of whether a lane has one
 
 
@@ -59,6 +62,8 @@ class ShakeTableVectorEnv(
         its next episode. ``SAME_STEP``: the ending step starts it and hands the last observation and
         info over as ``final_obs`` and ``final_info``. ``DISABLED``: the caller resets, with
         ``reset(options={"reset_mask": mask})``.
+    threads
+        Threads that step the tables, where there are 512 tables or more for each.
     """
 
     def __init__(
@@ -68,10 +73,12 @@ class ShakeTableVectorEnv(
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        threads: int = 1,
         **overrides: Unpack[Overrides],
     ) -> None:
         refuse_rendering(render_mode)
         check("num_envs", num_envs, NUM_ENVS)
+        check("threads", threads, THREADS)
         self.num_envs = int(num_envs)
         self.scenario = make_scenario(scenario, overrides)
         check_memory(self.scenario, self.num_envs)  # before the spaces, which hold bounds for each lane
@@ -81,9 +88,10 @@ class ShakeTableVectorEnv(
         self.single_observation_space, self.single_action_space = single_spaces(self.scenario)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._simulation = Simulation(self.scenario, self.num_envs)
+        self._simulation = Simulation(self.scenario, self.num_envs, threads=int(threads))
         self._streams: list[np.random.Generator | None] = [None] * self.num_envs
         self._ended = np.ones(self.num_envs, dtype=bool)  # lanes whose episode is over
+        self._some_ended = True
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -125,43 +133,48 @@ class ShakeTableVectorEnv(
         ScenarioError
             If a lane's episode is over and nothing resets it.
         """
-        action = checked_action(actions, (self.num_envs, 1))[:, 0]
-        over = self._ended.copy()
-        unknown = over.any() and any(stream is None for stream in self._streams)
-        if unknown or (over.any() and self.autoreset_mode != AutoresetMode.NEXT_STEP):
-            raise ScenarioError(
-                "lanes", np.flatnonzero(over).tolist(), "their episode is over: reset() them first"
-            )
+        action = batch_action(actions, (self.num_envs, 1))
+        over = np.flatnonzero(self._ended) if self._some_ended else None
+        if over is not None:
+            unknown = any(stream is None for stream in self._streams)
+            if unknown or self.autoreset_mode != AutoresetMode.NEXT_STEP:
+                raise ScenarioError("lanes", over.tolist(), "their episode is over: reset() them first")
         result = self._simulation.step(action)
-        observation, reward = result.observation, result.reward
+        observation, reward, info = result.observation, result.reward, self._info(result, over)
         terminated, truncated = result.terminated, result.truncated
-        if over.any():
-            lanes = np.flatnonzero(over)
-            observation[lanes] = self._start(lanes, None)
-            reward[lanes], terminated[lanes], truncated[lanes] = 0.0, False, False
-        info = self._info(result, over)
-        done = terminated | truncated
-        if self.autoreset_mode == AutoresetMode.SAME_STEP and done.any():
-            lanes = np.flatnonzero(done)
-            final = np.full(self.num_envs, None, dtype=object)
-            for lane in lanes:
-                final[lane] = observation[lane].copy()
-            final_info: dict[str, Any] = {}
-            for key in INFO_KEYS:
-                final_info[key], final_info[f"_{key}"] = np.where(done, info[key], 0.0), done.copy()
-                info[key] = np.where(done, 0.0, info[key])  # of the table at rest that follows
-            for key in ("broken_limit", "_broken_limit"):
-                if key in info:
-                    final_info[key] = info.pop(key)
-            info.update(
-                final_obs=final, _final_obs=done.copy(), final_info=final_info, _final_info=done.copy()
-            )
-            observation[lanes] = self._start(lanes, None)
-            self._ended = np.zeros_like(done)
-        else:
-            self._ended = done
+        if over is not None:
+            observation[over] = self._start(over, None)
+            reward[over], terminated[over], truncated[over] = 0.0, False, False
         self._last = observation
-        return observation.copy(), reward, terminated, truncated, info
+        if result.ended:
+            self._end(result, observation, info)
+        if self.autoreset_mode == AutoresetMode.DISABLED:
+            self._last = observation.copy()  # which a reset of others hands out again
+        return observation, reward, terminated, truncated, info
+
+    def _end(self, result: StepResult, observation: Observations, info: dict[str, Any]) -> None:
+        """Note which episodes are over, and begin the next ones where the same step does."""
+        done = result.terminated | result.truncated
+        lanes = np.flatnonzero(done)
+        if self.autoreset_mode != AutoresetMode.SAME_STEP:
+            self._ended, self._some_ended = done, len(lanes) > 0
+            return
+        if not len(lanes):
+            return
+        final = np.full(self.num_envs, None, dtype=object)
+        for lane in lanes:
+            final[lane] = observation[lane].copy()
+        final_info: dict[str, Any] = {}
+        for key in INFO_KEYS:
+            final_info[key], final_info[f"_{key}"] = np.where(done, info[key], 0.0), done.copy()
+            info[key] = np.where(done, 0.0, info[key])  # of the table at rest that follows
+        for key in ("broken_limit", "_broken_limit"):
+            if key in info:
+                final_info[key] = info.pop(key)
+        info.update(
+            final_obs=final, _final_obs=done.copy(), final_info=final_info, _final_info=done.copy()
+        )
+        observation[lanes] = self._start(lanes, None)
 
     def _start(self, lanes: NDArray[np.intp], motion: Any) -> NDArray[np.float32]:
         streams = []
@@ -170,6 +183,7 @@ class ShakeTableVectorEnv(
             assert stream is not None  # reset() made it
             streams.append(episode_stream(stream))
         self._ended[lanes] = False
+        self._some_ended = bool(self._ended.any())
         motions = None if motion is None else [motion] * len(lanes)
         return self._simulation.start(lanes.tolist(), streams, motions)
 
@@ -180,17 +194,22 @@ class ShakeTableVectorEnv(
             info[f"_{key}"][lanes] = True
         return info
 
-    def _info(self, result: StepResult, restarted: BoolArray) -> dict[str, Any]:
+    def _info(self, result: StepResult, restarted: NDArray[np.intp] | None) -> dict[str, Any]:
+        if restarted is None and not result.ended:
+            return BatchInfo(result.report)
+        report, terminated = result.report[: len(INFO_KEYS)], result.terminated
+        if restarted is not None:
+            report, terminated = report.copy(), terminated.copy()
+            report[:, restarted], terminated[restarted] = 0.0, False
         info: dict[str, Any] = {}
-        anew, masks = restarted.any(), np.ones((len(INFO_KEYS), self.num_envs), dtype=bool)
-        for (key, mask_key), value, mask in zip(_KEYS, result.report, masks, strict=True):
-            info[key] = np.where(restarted, 0.0, value) if anew else value
-            info[mask_key] = mask
-        if result.terminated.any():
-            refuse_overflow(float(result.reward.sum()))
+        masks = np.ones(report.shape, dtype=bool)
+        for (key, mask_key), value, mask in zip(_KEYS, report, masks, strict=True):
+            info[key], info[mask_key] = value, mask
+        if terminated.any():
+            refuse_overflow(float(result.reward[terminated].sum()))
             names = np.array([None, *REASONS], dtype=object)
-            info["broken_limit"] = names[np.where(result.terminated, result.outcome.broken, 0)]
-            info["_broken_limit"] = result.terminated
+            info["broken_limit"] = names[np.where(terminated, result.broken, 0.0).astype(int)]
+            info["_broken_limit"] = terminated
         return info
 
     def _mask(self, mask: BoolArray | None) -> BoolArray:

@@ -56,8 +56,8 @@ SHOWING = {"matplotlib", "rich", "tyro", "plotly", "jinja2"}
 # What a package or room may import besides the standard library and this project. A room's own line
 # stands before its package's.
 LIBRARIES = {
-    "shake_env/kernels": {"numpy", "numba", "scipy"},
-    "shake_env/simulation": {"numpy", "numba", "array_api_compat"},
+    "shake_env/kernels": {"numpy", "numba", "llvmlite", "scipy"},
+    "shake_env/simulation": {"numpy", "array_api_compat"},
     "shake_env/rendering": {"numpy", "PIL", "pygame", "gymnasium"},
     "shake_env/env": {"numpy", "gymnasium"},
     "shake_env/vector_env": {"numpy", "gymnasium"},
@@ -284,7 +284,7 @@ def test_a_folder_has_at_most_twenty_files():
         ("shake_env.model.plant", "from baselines.lqr.sampled import lqr"),
         ("shake_env.model.plant", "def f():\n    from shake_env.scenario.scenario import Scenario"),
         ("shake_env.model.plant", "import importlib\nimportlib.import_module('baselines.registry')"),
-        ("shake_env.dynamics.linear", "x = compiled_module('shake_env.simulation.fused_step')"),
+        ("shake_env.dynamics.linear", "x = compiled_module('shake_env.simulation.compiled_engine')"),
         ("agents.policies.policy_file", "from agents.training import train"),
         ("baselines.lqr.preview", "import agents.cli.compare"),
     ],

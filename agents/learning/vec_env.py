@@ -16,11 +16,13 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from agents.policies.estimated_law import EstimatedLaw
 from shake_env.env import single_spaces
+from shake_env.model.inputs import batch_action
 from shake_env.model.parameters import FloatArray
 from shake_env.scenario.limits import OBSERVATION_BOUND, REASONS
 from shake_env.scenario.scenario import Scenario
+from shake_env.simulation.engine import StepResult
 from shake_env.simulation.sensors import SensorMemory
-from shake_env.simulation.simulation import Simulation, StepResult, checked_action, episode_stream
+from shake_env.simulation.simulation import Simulation, episode_stream
 
 
 class ShakeTableVecEnv(VecEnv):
@@ -91,8 +93,8 @@ class ShakeTableVecEnv(VecEnv):
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Take the actions (N, 1) of the next period."""
-        correction = checked_action(actions, (self.num_envs, 1))[:, 0]
-        self._action = self.authority * correction
+        correction = batch_action(actions, (self.num_envs, 1))
+        self._action = self.authority * correction.astype(float)
         if self._corrects:
             self._action += self._shown @ self.base
         if self.law is not None:
@@ -105,18 +107,19 @@ class ShakeTableVecEnv(VecEnv):
         result = self.simulation.step(self._action)
         observation = result.observation
         self._returns += result.reward
-        done = result.terminated | result.truncated
+        reward = (self.reward_scale * result.reward).astype(np.float32)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         self._observation = observation
-        shown = self._look()
-        if done.any():
+        shown, done = self._look(), result.terminated
+        if result.ended:
+            done = done | result.truncated
             lanes = np.flatnonzero(done)
             for lane in lanes:
                 infos[lane] = self._final_info(result, int(lane))
             self._returns[lanes] = 0.0
             observation[lanes] = self._start(lanes.tolist())
             shown = self._look()
-        return shown.copy(), (self.reward_scale * result.reward).astype(np.float32), done, infos
+        return shown.copy(), reward, done, infos
 
     def _look(self) -> NDArray[np.float32]:
         """Return what is shown (N, n): the observation, and behind it what the law believes."""
@@ -134,7 +137,7 @@ class ShakeTableVecEnv(VecEnv):
         return {
             "terminal_observation": self._shown[lane].copy(),
             "TimeLimit.truncated": bool(result.truncated[lane]),
-            **self._episode_info(lane, int(result.outcome.broken[lane])),
+            **self._episode_info(lane, int(result.broken[lane])),
         }
 
     def _episode_info(self, lane: int, broken: int) -> dict[str, Any]:

@@ -166,9 +166,9 @@ def broken_limits(
         action, state = decide(driving, fault(k, observation), state, start)
         wanted = np.nan_to_num(action[:, 0].astype(float), posinf=0.0, neginf=0.0)
         result = simulation.step(np.where(ended, 0.0, wanted))
-        code = np.where(~ended & result.terminated, result.outcome.broken, code)
+        code = np.where(~ended & result.terminated, result.broken, code)
         ended |= result.terminated | result.truncated
-        simulation.state[ended] = 0.0
+        simulation.rest(ended)
         start, observation = ended.copy(), result.observation
     return code, supervisor
 

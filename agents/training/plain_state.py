@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from agents.learning.vec_env import ShakeTableVecEnv
 from shake_env.motion.targets import EpisodeMotion, MotionSet
 from shake_env.scenario.scenario import Scenario
-from shake_env.simulation.excitation import BLOCK_STEPS as GROUND_STEPS
-from shake_env.simulation.sensors import BLOCK_STEPS as NOISE_STEPS
 from shake_env.simulation.sensors import SensorMemory
 
 Arrays = dict[str, NDArray[Any]]
@@ -162,18 +160,11 @@ def set_global_generators(state: Mapping[str, Any]) -> None:
 def tables_state(env: ShakeTableVecEnv) -> dict[str, Any]:
     """Return a snapshot of the tables without objects: generators and motions as what they are."""
     state = env.snapshot()
-    simulation = dict(state["simulation"])
-    noise, ground = dict(simulation["noise"]), dict(simulation["excitation"])
-    motions = _motions(env.scenario)
-    noise["streams"] = [generator_state(stream) for stream in noise["streams"]]
-    ground["streams"] = [generator_state(stream) for stream in ground["streams"]]
-    ground["motions"] = [motions.index(motion) for motion in ground["motions"]]
-    memory = {name: np.asarray(value) for name, value in vars(simulation["memory"]).items()}
-    simulation |= {"noise": noise, "excitation": ground, "memory": memory}
-    return state | {
-        "simulation": simulation,
-        "streams": [generator_state(stream) for stream in state["streams"]],
-    }
+    simulation, motions = dict(state["simulation"]), _motions(env.scenario)
+    simulation["motions"] = [motions.index(motion) for motion in simulation["motions"]]
+    simulation["memory"] = {k: np.asarray(value) for k, value in vars(simulation["memory"]).items()}
+    streams = [generator_state(stream) for stream in state["streams"]]
+    return state | {"simulation": simulation, "streams": streams}
 
 
 def restore_tables(env: ShakeTableVecEnv, state: Mapping[str, Any]) -> None:
@@ -185,33 +176,19 @@ def restore_tables(env: ShakeTableVecEnv, state: Mapping[str, Any]) -> None:
         If they are others' tables, or it describes none.
     """
     _require_tables(state, tables_state(env), env)
-    simulation = dict(state["simulation"])
-    noise, ground = dict(simulation["noise"]), dict(simulation["excitation"])
-    motions = _motions(env.scenario)
-    noise["streams"] = [generator(stream) for stream in noise["streams"]]
-    ground["streams"] = [generator(stream) for stream in ground["streams"]]
-    places = [whole_number(place, "motions", len(motions) - 1) for place in ground["motions"]]
-    ground["motions"] = [motions[place] for place in places]
-    memory = SensorMemory(**simulation["memory"])
-    simulation |= {"noise": noise, "excitation": ground, "memory": memory}
-    env.restore(
-        {
-            **state,
-            "simulation": simulation,
-            "streams": [generator(stream) for stream in state["streams"]],
-        }
-    )
+    simulation, motions = dict(state["simulation"]), _motions(env.scenario)
+    places = [whole_number(place, "motions", len(motions) - 1) for place in simulation["motions"]]
+    simulation["motions"] = [motions[place] for place in places]
+    simulation["memory"] = SensorMemory(**simulation["memory"])
+    streams = [generator(stream) for stream in state["streams"]]
+    env.restore({**state, "simulation": simulation, "streams": streams})
 
 
 def _require_tables(state: Mapping[str, Any], like: Mapping[str, Any], env: ShakeTableVecEnv) -> None:
-    """Compare all but generators and drawn plants; what is an index must lie within its array."""
+    """Compare all but generators and drawn plants."""
     compared = []
     for nest in (state, like):
-        simulation = dict(nest["simulation"])
-        listed = [nest["streams"]]
-        for name in ("noise", "excitation"):
-            listed.append(simulation[name]["streams"])
-            simulation[name] = {**simulation[name], "streams": None}
+        simulation, listed = dict(nest["simulation"]), [nest["streams"]]
         if simulation["fleet"] is not None:
             listed.append(simulation["fleet"]["values"])
             simulation["fleet"] = {**simulation["fleet"], "values": None}
@@ -220,11 +197,8 @@ def _require_tables(state: Mapping[str, Any], like: Mapping[str, Any], env: Shak
             _require(fits, "tables", f"must be {env.num_envs}")
         compared.append({**nest, "streams": None, "simulation": simulation})
     require_form(compared[0], compared[1], "tables")
-    simulation = state["simulation"]
-    noise, ground = simulation["noise"], simulation["excitation"]
-    whole_number(ground["cursor"], "cursor", GROUND_STEPS)
-    whole_number(noise["cursor"], "cursor", NOISE_STEPS)
-    for counts in (simulation["step_count"], simulation["episode_steps"], ground["filled"]):
+    for name in ("step_count", "episode_steps", "period"):
+        counts = state["simulation"][name]
         inside = bool((counts >= 0).all() and (counts < 2**31).all())
         _require(inside, "steps", "must not be below 0")
 

@@ -1,312 +1,194 @@
-"""The ground and the reference specimen, a block of control periods ahead, compiled; see `excitation`.
+"""One control period of the ground under a block: random numbers, filter, reference specimen, target.
 
-Imported on first use only, where numba is installed.
+Beside :mod:`shake_env.simulation.excitation`, and equal to it to rounding. The periods that a preview
+reaches lie ahead in a ring of slots; without a preview it has one.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numba import float64, int64, njit, types
-
-from shake_env.kernels.lanes import BLOCK, IntArray, add_product, fill, jit, scalars, slip_rates, stamp
-from shake_env.model.nonlinearity import Nonlinearity, Yielding
-from shake_env.model.parameters import FloatArray
-
-
-@jit
-def _gather(maps: FloatArray, lanes: IntArray, start: int, count: int, step: FloatArray) -> None:
-    """Write maps (1 or N, rows, columns) of lanes from `start` on to step (columns, rows, count)."""
-    for n in range(count):
-        held = maps[lanes[start + n] if len(maps) > 1 else 0]
-        for i in range(held.shape[0]):
-            for j in range(held.shape[1]):
-                step[j, i, n] = held[i, j]
+from shake_env.kernels.normals import draw
+from shake_env.kernels.parts import slip_rates
+from shake_env.kernels.products import multiply
+from shake_env.kernels.vectors import F64, I64, NUMBERS, Code, Rows, Value, whole
+from shake_env.model.random_numbers import A_BLOCK, GROUND
 
 
-@jit
-def _run_filter(
-    ground: FloatArray,
-    noise: FloatArray,
-    tail: FloatArray,
-    maps: FloatArray,
-    lanes: IntArray,
-    intensity: FloatArray,
-    which: IntArray,
-    amplitude: FloatArray,
-    first: int,
-) -> None:
-    """Fill rows `first` to the end of `ground` for some tables, from their draws.
+@dataclass(frozen=True)
+class Block:
+    """A block of tables: where its record, matrices and room lie."""
 
-    Parameters
-    ----------
-    ground
-        (length, width, N) the ground ahead, written.
-    noise
-        (n or more, length, draws) of which as many rows are used as there are to fill.
-    tail
-        (N, exogenous states) at the filled end, moved on.
-    maps
-        (1 or N, width, exogenous states + draws): one for all tables, or one for each.
-    lanes
-        (n,) which tables, in order.
-    intensity, which
-        (kinds, rows, k) of the motion in each physics step, and (n,) which kind each table has.
-    amplitude
-        (n,) of each motion.
+    code: Code
+    record: Rows
+    matrices: Any  # pointer
+    room: Rows
+
+    def rows(self, name: str) -> Rows:
+        """Return the rows of a field."""
+        return self.record.at(self.code.whole(f"row_{name}"))
+
+    def space(self, name: str) -> Rows:
+        """Return rows to work in."""
+        return self.room.at(self.code.whole(f"room_{name}"))
+
+    def slot(self, number: Any) -> Rows:
+        """Return the rows of a slot of the ring."""
+        return self.rows("ring").at(self.code.b.mul(number, self.code.whole("stride")))
+
+    def multiply(
+        self, name: str, x: Rows, columns: Any, rows: Any, y: Rows, *, add: bool = False
+    ) -> None:
+        """Write or add the product of one of the block's matrices."""
+        code = self.code
+        matrix = code.b.gep(self.matrices, [code.whole(f"matrix_{name}")])
+        multiply(code, matrix, code.whole("own"), x, columns, rows, y, add=add)
+
+    @property
+    def pointers(self) -> tuple[Any, Any, Any]:
+        """What stands for the block in a call."""
+        return self.record.pointer, self.matrices, self.room.pointer
+
+
+BLOCK_POINTERS = [NUMBERS, NUMBERS, NUMBERS]
+
+
+def the_block(code: Code, record: Any, matrices: Any, room: Any) -> Block:
+    """Return the block that a called function was given."""
+    return Block(code, Rows(code, record), matrices, Rows(code, room))
+
+
+def copy(code: Code, source: Rows, target: Rows, count: Any) -> None:
+    """Copy rows."""
+    with code.loop(count) as i, code.lanes() as lane:
+        target.put(i, lane, source.get(i, lane))
+
+
+def advance_ground(block: Block, previous: Any, following: Any) -> None:
+    """Write the ground of the next period to a slot, from that of the slot before."""
+    function = block.code.function("ground", [*BLOCK_POINTERS, I64, I64], _advance)
+    block.code.call(function, *block.pointers, previous, following)
+
+
+def _advance(code: Code, record: Any, matrices: Any, room: Any, previous: Any, following: Any) -> None:
+    block = the_block(code, record, matrices, room)
+    b, before, slot = code.b, block.slot(previous), block.slot(following)
+    ground, reference = code.whole("filter"), code.whole("reference")
+    exogenous = b.add(ground, reference)
+    x, samples = block.space("x"), block.space("samples")
+    copy(code, before, x, exogenous)
+    some, all_of_them = code.variable(code.zero() > 1.0), code.variable(code.zero() < 1.0)
+    with code.lanes() as lane:
+        recorded = block.rows("recorded").get(0, lane, I64) > 0
+        some.set(Value(b, b.or_(some.get().ir, recorded.ir)))
+        all_of_them.set(Value(b, b.and_(all_of_them.get().ir, recorded.ir)))
+    with b.if_then(some.get().any()):
+        # The reference behind the samples: the products may write to the slot that it was read from.
+        _gather(block, samples, b.add(exogenous, b.add(code.whole("substeps"), whole(1))), records=True)
+        copy(code, x.at(ground), samples.at(ground), reference)
+    with b.if_then((~all_of_them.get()).any()):
+        _noise(block, x, exogenous, slot)
+    with b.if_then(some.get().any()):
+        _records(block, samples, slot)
+    with b.if_then(code.positive(code.whole("yielding"))):
+        _yielding(block, x, slot)
+    with code.lanes() as lane:
+        period = block.rows("period")
+        period.put(0, lane, period.get(0, lane, I64) + 1)
+
+
+def _noise(block: Block, x: Rows, exogenous: Any, slot: Rows) -> None:
+    """Draw, shape and filter."""
+    code, b = block.code, block.code.b
+    draws, rank, k = code.whole("draws"), code.whole("rank"), code.whole("substeps")
+    drawn = x.at(exogenous)
+    blocks = b.udiv(b.add(draws, whole(A_BLOCK - 1)), whole(A_BLOCK))
+    draw(code, block.rows("key"), block.rows("period"), whole(0), GROUND, blocks, drawn)
+    shaped = code.variable(code.zero() > 1.0)
+    with code.lanes() as lane:
+        shape = block.rows("shape").get(0, lane, I64)
+        shaped.set(Value(b, b.or_(shaped.get().ir, (~shape.equals(1)).ir)))
+    with b.if_then(shaped.get().any()):
+        intensity = block.space("y")
+        _gather(block, intensity, k, records=False)
+        with code.loop(k) as j, code.loop(rank) as i, code.lanes() as lane:
+            row = b.add(b.mul(j, rank), i)
+            drawn.put(row, lane, drawn.get(row, lane) * intensity.get(j, lane))
+    with code.loop(draws) as i, code.lanes() as lane:
+        drawn.put(i, lane, drawn.get(i, lane) * block.rows("amplitude").get(0, lane))
+    block.multiply("noise_map", x, b.add(exogenous, draws), code.whole("width"), slot)
+
+
+def _gather(block: Block, out: Rows, count: Any, *, records: bool) -> None:
+    """Write each table's row of its motion's history or envelope.
+
+    A row of a history is the filter state at the period's end, room for the reference, and k + 1
+    targets; of an envelope, k intensities. Tables of the other kind take the row that stands for none.
     """
-    rows, states, draws = ground.shape[1], tail.shape[1], noise.shape[2]
-    substeps = intensity.shape[2]
-    rank = draws // substeps
-    own, width = len(maps) > 1, min(BLOCK, len(lanes))
-    depth = width if own else 1
-    step = np.empty((states + draws, rows, depth))
-    x, y = np.empty((states + draws, width)), np.empty((rows, width))
-    for start in range(0, len(lanes), width):
-        w = min(width, len(lanes) - start)
-        if own or start == 0:
-            _gather(maps, lanes, start, w if own else 1, step)
-        lane = lanes[start]
-        neighbours = lanes[start + w - 1] - lane == w - 1  # they come in order, each once
-        for n in range(w):
-            for i in range(states):
-                x[i, n] = tail[lanes[start + n], i]
-        for row in range(first, len(ground)):
-            offset = row - first
-            for n in range(w):
-                drawn, level = noise[start + n, offset], intensity[which[start + n], offset]
-                for j in range(substeps):
-                    for i in range(rank):
-                        # In this order, to the last bit: intensity, then amplitude.
-                        shaped = drawn[j * rank + i] * level[j] * amplitude[start + n]
-                        x[states + j * rank + i, n] = shaped
-            fill(y, 0.0, w)
-            add_product(step, x, y, w)
-            if neighbours:
-                for i in range(rows):
-                    for n in range(w):
-                        ground[row, i, lane + n] = y[i, n]
-            else:
-                for i in range(rows):
-                    for n in range(w):
-                        ground[row, i, lanes[start + n]] = y[i, n]
-            for i in range(states):
-                for n in range(w):
-                    x[i, n] = y[i, n]
-        for n in range(w):
-            for i in range(states):
-                tail[lanes[start + n], i] = x[i, n]
+    code, b = block.code, block.code.b
+    with code.loop(code.block) as lane:
+        as_whole = b.bitcast(block.record.pointer, I64.as_pointer())
+
+        def lanes_own(name: str, lane: Any = lane, rows: Any = as_whole) -> Any:
+            place = b.add(b.mul(code.whole(f"row_{name}"), whole(code.block)), lane)
+            return b.load(b.gep(rows, [place]))
+
+        kind = b.icmp_signed("==", lanes_own("recorded"), whole(int(records)))
+        shape = b.select(kind, lanes_own("shape"), whole(0 if records else 1))
+        entry = b.gep(code.pointer("shapes", I64), [b.mul(shape, whole(2))])
+        last = b.sub(b.load(b.gep(entry, [whole(1)])), whole(1))
+        period = lanes_own("period")
+        period = b.select(b.icmp_signed("<", period, last), period, last)
+        start = b.inttoptr(b.load(entry), F64.as_pointer())
+        with code.loop(count) as i:
+            value = b.load(b.gep(start, [b.add(b.mul(period, count), i)]))
+            b.store(value, b.gep(out.pointer, [b.add(b.mul(i, whole(code.block)), lane)]))
 
 
-@jit
-def _run_records(
-    ground: FloatArray,
-    samples: FloatArray,
-    states: FloatArray,
-    tail: FloatArray,
-    maps: FloatArray,
-    lanes: IntArray,
-    first: int,
-) -> None:
-    """Fill rows `first` to the end of `ground` for tables under recorded motions.
+def _records(block: Block, samples: Rows, slot: Rows) -> None:
+    """Put the ground of recorded motions in the place of the noise's."""
+    code, b = block.code, block.code.b
+    ground, reference, k = code.whole("filter"), code.whole("reference"), code.whole("substeps")
+    targets, result = b.add(ground, reference), block.space("y")
+    columns = b.add(reference, b.add(k, whole(1)))
+    rows = b.add(reference, b.add(k, code.whole("drive")))
+    block.multiply("record_map", samples.at(ground), columns, rows, result)
 
-    Parameters
-    ----------
-    ground, tail, lanes
-        As for `_run_filter`.
-    samples
-        (n, rows k + 1) target acceleration at the ends of the physics steps.
-    states
-        (n, rows, filter states) of the ground at the ends of the periods.
-    maps
-        (1 or N, reference states + outputs, reference states + k + 1).
-    """
-    width, exogenous, filtered = min(BLOCK, len(lanes)), tail.shape[1], states.shape[2]
-    rows, columns, reference = maps.shape[1], maps.shape[2], exogenous - filtered
-    substeps = columns - reference - 1
-    own = len(maps) > 1
-    step = np.empty((columns, rows, width if own else 1))
-    x, y = np.empty((columns, width)), np.empty((rows, width))
-    for start in range(0, len(lanes), width):
-        w = min(width, len(lanes) - start)
-        if own or start == 0:
-            _gather(maps, lanes, start, w if own else 1, step)
-        for n in range(w):
-            for i in range(reference):
-                x[i, n] = tail[lanes[start + n], filtered + i]
-        for row in range(first, len(ground)):
-            begin = (row - first) * substeps
-            for n in range(w):
-                for i in range(substeps + 1):
-                    x[reference + i, n] = samples[start + n, begin + i]
-            fill(y, 0.0, w)
-            add_product(step, x, y, w)
-            for n in range(w):
-                lane = lanes[start + n]
-                for i in range(filtered):
-                    ground[row, i, lane] = states[start + n, row - first, i]
-                for i in range(reference):
-                    ground[row, filtered + i, lane] = x[i, n] = y[i, n]
-                for i in range(substeps):
-                    ground[row, exogenous + i, lane] = samples[start + n, begin + i + 1]
-                for i in range(reference, rows):
-                    ground[row, filtered + substeps + i, lane] = y[i, n]
-        for n in range(w):
-            for i in range(reference):
-                tail[lanes[start + n], filtered + i] = x[i, n]
+    def put(count: Any, source: Rows, target: Rows) -> None:
+        with code.loop(count) as i, code.lanes() as lane:
+            recorded = block.rows("recorded").get(0, lane, I64) > 0
+            target.put(i, lane, recorded.choose(source.get(i, lane), target.get(i, lane)))
+
+    put(ground, samples, slot)
+    put(reference, result, slot.at(ground))
+    put(k, samples.at(b.add(targets, whole(1))), slot.at(targets))
+    put(b.add(k, code.whole("drive")), result.at(reference), slot.at(b.add(targets, k)))
 
 
-@jit
-def _run_yielding(
-    ground: FloatArray,
-    slipping: FloatArray,
-    last: FloatArray,
-    maps: FloatArray,
-    slopes: FloatArray,
-    shears: FloatArray,
-    v: FloatArray,
-    lanes: IntArray,
-    first: int,
-    filtered: int,
-    substeps: int,
-) -> None:
-    """Put a yielding reference in the place of the linear one, as `YieldingReference.run` follows it.
-
-    Parameters
-    ----------
-    ground, lanes
-        As for `_run_filter`; the target is read.
-    slipping, last
-        (N, 3 stories) and (N,): state of the reference and target at the filled end, moved on.
-    maps, slopes, shears
-        (1 or N, 3 stories, ...) of ``[x, target, next target, slip rates]`` and of the change of the
-        rates, and (1 or N, 1, 3 stories) of the base shear.
-    v
-        Scalars, as `scalars` returns them.
-    filtered, substeps
-        Filter states, and physics steps k of a period.
-    """
-    width, order, columns = min(BLOCK, len(lanes)), slipping.shape[1], maps.shape[2]
-    stories = order // 3
-    target = filtered + 2 * stories
-    own = len(maps) > 1
-    depth = width if own else 1
-    step, change = np.empty((columns, order, depth)), np.empty((stories, order, depth))
-    seen = np.empty((order, 1, depth))
-    # Four rows of a table at rest in front, for `slip_rates`.
-    x, y = np.zeros((4 + columns, width)), np.zeros((4 + order, width))
-    later, shear = np.empty((stories, width)), np.empty((1, width))
-    state, moved, rates = x[4:], y[4:], x[4 + order + 2 :]
-    for start in range(0, len(lanes), width):
-        w = min(width, len(lanes) - start)
-        if own or start == 0:
-            count = w if own else 1
-            _gather(maps, lanes, start, count, step)
-            _gather(slopes, lanes, start, count, change)
-            _gather(shears, lanes, start, count, seen)
-        for n in range(w):
-            for i in range(order):
-                state[i, n] = slipping[lanes[start + n], i]
-            state[order, n] = last[lanes[start + n]]
-        slip_rates(x, v, stories, rates, w)
-        for row in range(first, len(ground)):
-            for j in range(substeps):
-                for n in range(w):
-                    state[order + 1, n] = ground[row, target + j, lanes[start + n]]
-                fill(moved, 0.0, w)
-                add_product(step, state, moved, w)
-                slip_rates(y, v, stories, later, w)
-                for i in range(stories):
-                    for n in range(w):
-                        later[i, n] -= rates[i, n]
-                add_product(change, later, moved, w)
-                for i in range(order):
-                    for n in range(w):
-                        state[i, n] = moved[i, n]
-                for n in range(w):
-                    state[order, n] = state[order + 1, n]
-                slip_rates(x, v, stories, rates, w)
-                fill(shear, 0.0, w)
-                add_product(seen, state, shear, w)
-                for n in range(w):
-                    ground[row, target + substeps + j, lanes[start + n]] = shear[0, n]
-            for n in range(w):
-                for i in range(2 * stories):
-                    ground[row, filtered + i, lanes[start + n]] = state[i, n]
-        for n in range(w):
-            for i in range(order):
-                slipping[lanes[start + n], i] = state[i, n]
-            last[lanes[start + n]] = state[order, n]
-
-
-_block, _rows = float64[:, :, ::1], float64[:, ::1]
-_maps = types.Array(float64, 3, "A", readonly=True)
-
-
-def _kept(number: int) -> Any:
-    """Return the three as numba keeps them on disk, for sources of this `stamp`."""
-    keep = {"cache": True, "error_model": "numpy", "nogil": True}
-
-    @njit(
-        int64(_block, _block, _rows, _maps, int64[::1], _block, int64[::1], float64[::1], int64), **keep
-    )
-    def noise_rows(
-        ground: FloatArray,
-        noise: FloatArray,
-        tail: FloatArray,
-        maps: FloatArray,
-        lanes: IntArray,
-        intensity: FloatArray,
-        which: IntArray,
-        amplitude: FloatArray,
-        first: int,
-    ) -> int:
-        _run_filter(ground, noise, tail, maps, lanes, intensity, which, amplitude, first)
-        return number
-
-    @njit(int64(_block, _rows, _block, _rows, _maps, int64[::1], int64), **keep)
-    def record_rows(
-        ground: FloatArray,
-        samples: FloatArray,
-        states: FloatArray,
-        tail: FloatArray,
-        maps: FloatArray,
-        lanes: IntArray,
-        first: int,
-    ) -> int:
-        _run_records(ground, samples, states, tail, maps, lanes, first)
-        return number
-
-    @njit(
-        int64(
-            _block, _rows, float64[::1], _maps, _maps, _maps, float64[::1], int64[::1], int64, int64,
-            int64,
-        ),
-        **keep,
-    )  # fmt: skip
-    def yielding_rows(
-        ground: FloatArray,
-        slipping: FloatArray,
-        last: FloatArray,
-        maps: FloatArray,
-        slopes: FloatArray,
-        shears: FloatArray,
-        v: FloatArray,
-        lanes: IntArray,
-        first: int,
-        filtered: int,
-        substeps: int,
-    ) -> int:
-        _run_yielding(ground, slipping, last, maps, slopes, shears, v, lanes, first, filtered, substeps)
-        return number
-
-    return noise_rows, record_rows, yielding_rows
-
-
-def law(yielding: Yielding) -> FloatArray:
-    """Return the scalars of a yielding law for `run_yielding`."""
-    return scalars(Nonlinearity(yielding=yielding))
-
-
-run_filter, run_records, run_yielding = _kept(stamp())
+def _yielding(block: Block, x: Rows, slot: Rows) -> None:
+    """Put a yielding reference in the place of the linear one; see `YieldingReference.run`."""
+    code, b = block.code, block.code.b
+    stories, k = code.whole("stories"), code.whole("substeps")
+    order, ground = b.mul(stories, whole(3)), code.whole("filter")
+    target = b.add(ground, code.whole("reference"))
+    y, later, shear = block.space("y"), block.space("later"), block.space("outputs")
+    now, rates = x.at(order), x.at(b.add(order, whole(2)))
+    copy(code, block.rows("slipping"), x, order)
+    copy(code, block.rows("last_target"), now, whole(1))
+    slip_rates(code, x, rates)
+    with code.loop(k) as j:
+        copy(code, slot.at(b.add(target, j)), now.at(1), whole(1))
+        block.multiply("yield_step", x, b.add(order, b.add(stories, whole(2))), order, y)
+        slip_rates(code, y, later)
+        with code.loop(stories) as i, code.lanes() as lane:
+            later.put(i, lane, later.get(i, lane) - rates.get(i, lane))
+        block.multiply("yield_change", later, stories, order, y, add=True)
+        copy(code, y, x, order)
+        copy(code, now.at(1), now, whole(1))
+        slip_rates(code, x, rates)
+        block.multiply("yield_shear", x, order, whole(1), shear)
+        copy(code, shear, slot.at(b.add(target, b.add(k, j))), whole(1))
+    copy(code, x, block.rows("slipping"), order)
+    copy(code, now, block.rows("last_target"), whole(1))
+    copy(code, x, slot.at(ground), code.whole("reference"))

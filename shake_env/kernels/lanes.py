@@ -43,9 +43,7 @@ jit = njit(error_model="numpy", nogil=True)
 # Part of its caller, which may know the number of lanes: loops over one lane then fall away.
 inlined = njit(error_model="numpy", nogil=True, forceinline=True)
 SOURCES = (
-    "kernels/lanes", "kernels/table", "kernels/table_adjoint", "kernels/period_adjoint",
-    "kernels/ground", "simulation/fused_step", "simulation/fused_layout", "scenario/limits",
-    "model/plant",
+    "kernels/lanes", "kernels/table", "kernels/table_adjoint", "kernels/period_adjoint", "model/plant",
 )  # fmt: skip
 
 

@@ -1,183 +1,125 @@
-"""numpy's standard normal numbers from the raw numbers of its generators, compiled.
-
-`numpy.random.Generator.standard_normal` calls a function for each number, which takes most of its time.
-Here raw numbers are drawn by the hundred, and the same method (the ziggurat of Marsaglia and Tsang,
-Journal of Statistical Software 5(8), 2000, with 256 layers) is applied to them in one loop: the numbers
-that come of it are numpy's to the last bit. Imported on first use, where numba is installed.
-"""
+"""Standard normal numbers of a block of tables; :mod:`shake_env.model.random_numbers` to the bit."""
 
 from __future__ import annotations
 
-import math
-from functools import lru_cache
 from typing import Any
 
-import numpy as np
-from numba import float64, int64, njit, types, uint64
-from numpy.typing import NDArray
+from llvmlite import ir
 
-from shake_env.model.parameters import FloatArray
+from shake_env.kernels.vectors import F32, F64, I32, I64, NUMBERS, Code, Rows, Value, whole
+from shake_env.model.random_numbers import (
+    ANGLE,
+    COSINE,
+    LN_2,
+    LOGARITHM,
+    ONE,
+    PARITY,
+    ROOT_HALF,
+    ROTATIONS,
+    ROUNDS,
+    SINE,
+)
 
-LAYERS = 256
-MANTISSA = 2.0**52
-PLACES = (1 << 52) - 1
-TAIL = 3.6541528853610087963519472518  # where the lowest layer's tail begins
-
-Raw = NDArray[np.uint64]
-IntArray = NDArray[np.int64]
-
-
-def tables() -> tuple[Raw, FloatArray, FloatArray]:
-    """Return numpy's own tables (256,): bounds of a sure hit, widths of layers, heights of the density.
-
-    Bounds and widths are read off numpy, by a generator whose next raw numbers are set: written anew
-    from the definition, every other would differ in its last bit. The heights are computed; their last
-    bit decides over one number in some 1e16.
-    """
-    generator = np.random.Generator(np.random.Philox(0))
-    state: Any = generator.bit_generator.state
-
-    def normal(raw: int) -> tuple[float, bool]:
-        """Return the number that comes of a raw one, and whether it needed no other."""
-        # With these behind it, a number beyond the layers is taken at once, and one between a box and
-        # the density, too: both have read further.
-        state["buffer"][:] = raw, 0, (1 << 64) - 1, 0
-        state["buffer_pos"] = 0
-        generator.bit_generator.state = state
-        return generator.standard_normal(), generator.bit_generator.state["buffer_pos"] == 1
-
-    widths = np.array([normal((1 << 60) | layer)[0] for layer in range(LAYERS)]) / 2.0**51
-    bounds = np.zeros(LAYERS, dtype=np.uint64)
-    for layer in range(LAYERS):
-        # Of the lowest layer what lies before the tail is sure, of the top one nothing.
-        inner = widths[layer - 1] if layer else TAIL / MANTISSA
-        guess = 0 if layer == 1 else int(MANTISSA * (inner / widths[layer]))
-        low, high = max(guess - 64, 0), guess + 64  # rounding moves it by a few units at most
-        while low < high:
-            middle = (low + high) // 2
-            if normal((middle << 9) | layer)[1]:
-                low = middle + 1
-            else:
-                high = middle
-        if low == guess + 64:
-            raise RuntimeError(f"layer {layer} of numpy's normal numbers is not where it was looked for")
-        bounds[layer] = low
-    heights = np.exp(-0.5 * (MANTISSA * widths) ** 2)
-    heights[0] = 1.0
-    return bounds, widths, heights
+BLOCKS_ALONE = 4  # blocks of a table alone that are encrypted side by side
 
 
-@njit(error_model="numpy", nogil=True)
-def _convert(
-    raw: Raw,
-    at: int,
-    end: int,
-    out: FloatArray,
-    bounds: Raw,
-    widths: FloatArray,
-    heights: FloatArray,
-) -> tuple[int, int]:
-    """Fill `out` from raw numbers `at` to `end`; return how many were made, and the place reached.
-
-    A number whose raw ones do not all lie there is left for another time.
-    """
-    made = 0
-    while made < len(out) and at < end:
-        number = raw[at]
-        layer = number & uint64(LAYERS - 1)
-        place = (number >> uint64(9)) & uint64(PLACES)
-        x = float64(place) * widths[layer]
-        x = -x if number & uint64(LAYERS) else x
-        next_raw = at + 1
-        accepted = place < bounds[layer]
-        if not accepted and layer == uint64(0):  # beyond all layers (Marsaglia, 1964)
-            while not accepted and next_raw + 2 <= end:
-                past = -(1.0 / TAIL) * math.log1p(-_share(raw[next_raw]))
-                other = -math.log1p(-_share(raw[next_raw + 1]))
-                accepted, next_raw = other + other > past * past, next_raw + 2
-                x = -(TAIL + past) if (place >> uint64(8)) & uint64(1) else TAIL + past
-            if not accepted:
-                break
-        elif not accepted:  # between a layer's box and the density
-            if next_raw == end:
-                break
-            above, below = heights[layer - uint64(1)], heights[layer]
-            height = (above - below) * _share(raw[next_raw]) + below
-            accepted, next_raw = height < math.exp(-0.5 * x * x), next_raw + 1
-        at = next_raw
-        if accepted:
-            out[made] = x
-            made += 1
-    return made, at
+def threefry(key: tuple[Value, Value], first: Value, second: Value) -> tuple[Value, Value]:
+    """Return the two words that a counter is encrypted to."""
+    keys = (key[0], key[1], key[0] ^ key[1] ^ PARITY)
+    x, y = first + keys[0], second + keys[1]
+    for i in range(ROUNDS):
+        x = x + y
+        y = y.turned(ROTATIONS[i % len(ROTATIONS)]) ^ x
+        if i % 4 == 3:
+            s = i // 4 + 1
+            x, y = x + keys[s % 3], y + keys[(s + 1) % 3] + s
+    return x, y
 
 
-@njit(error_model="numpy", nogil=True)
-def _share(raw: int) -> float:
-    """Return a raw number as a share of all, below 1."""
-    share: float = float64(raw >> uint64(11)) / 2.0**53
-    return share
+def normal_pairs(low: Value, high: Value) -> tuple[Value, Value]:
+    """Return two normal numbers of single precision from 32-bit integers."""
+    x = (low >> 1).to(F32) + 0.5
+    bits = x.as_bits(I32) + (ONE - ROOT_HALF)
+    exponent = ((bits >> 23) - (127 + 31)).to(F32)
+    f = ((bits & 0x007FFFFF) + ROOT_HALF).as_bits(F32) - 1.0
+    square = f * f
+    log = _polynomial(f, LOGARITHM) * f * square - square * 0.5 + f + exponent * LN_2
+    radius = (log < 0.0).choose(log * -2.0, 0.0).root()
+    t = (high << 2).signed_shift(2).to(F32) * ANGLE
+    square = t * t
+    sine = _polynomial(square, SINE) * square * t + t
+    cosine = _polynomial(square, COSINE) * square * square - square * 0.5 + 1.0
+    radius = (radius.as_bits(I32) ^ ((high << 1) & 0x80000000)).as_bits(F32)
+    swapped = high < 0
+    return radius * swapped.choose(sine, cosine), radius * swapped.choose(cosine, sine)
 
 
-@njit(
-    int64(
-        uint64[:, ::1], int64[::1], types.Array(float64, 2, "A"), int64[::1], int64, uint64[::1],
-        float64[::1], float64[::1],
-    ),
-    cache=True, error_model="numpy", nogil=True,
-)  # fmt: skip
-def convert(
-    raw: Raw,
-    held: IntArray,
-    out: FloatArray,
-    made: IntArray,
-    kept: int,
-    bounds: Raw,
-    widths: FloatArray,
-    heights: FloatArray,
-) -> int:
-    """Fill rows of standard normal numbers from rows of raw ones, of which each has as many as it needs.
+def _polynomial(x: Value, coefficients: tuple[float, ...]) -> Value:
+    total = x * coefficients[0] + coefficients[1]
+    for each in coefficients[2:]:
+        total = total * x + each
+    return total
+
+
+def draw(
+    code: Code, keys: Rows, counters: Rows, behind: Any, first: int, blocks: Any, out: Rows
+) -> None:
+    """Write the numbers of `blocks` blocks of each table to rows: four a block, a table alone sixteen.
 
     Parameters
     ----------
-    raw
-        (n or more, kept + fresh) raw numbers; those that `held` counts end at `kept`, those that are
-        fresh begin there. What is not used is moved to end there.
-    held
-        (n,) of those before `kept`, then of those not used.
+    keys, counters
+        Two rows and one row of 64-bit integers.
+    behind
+        What is taken off the counters.
+    first
+        The first block, for what they are drawn.
     out
-        (n, count), written.
-    made
-        (n,) fresh raw numbers; then how much of each row is filled.
-    kept
-        Room for what is left.
-    bounds, widths, heights
-        From `tables`.
-
-    Returns
-    -------
-    Number of rows that are not filled.
+        Written, up to the next multiple of 16 rows.
     """
-    short = 0
-    for n in range(len(out)):
-        end = kept + made[n]
-        made[n], at = _convert(raw[n], kept - held[n], end, out[n], bounds, widths, heights)
-        held[n] = left = end - at
-        for i in range(left):  # upwards where it moves down, and the other way round
-            step = i if at > kept - left else left - 1 - i
-            raw[n, kept - left + step] = raw[n, at + step]
-        short += made[n] < out.shape[1]
-    return short
+    emit = _emit_alone if code.block == 1 else _emit_block
+    function = code.function("normals", [NUMBERS, NUMBERS, I64, I64, I64, NUMBERS], emit)
+    code.call(function, keys.pointer, counters.pointer, behind, first, blocks, out.pointer)
 
 
-@lru_cache(maxsize=1)
-def numpys() -> tuple[Raw, FloatArray, FloatArray] | None:
-    """Return the tables, or None where another numpy makes its numbers in another way."""
-    try:
-        found = tables()
-    except RuntimeError:
-        return None
-    wanted = np.random.Generator(np.random.PCG64(0)).standard_normal((1, 4096))
-    raw = np.random.PCG64(0).random_raw((1, 4500))
-    out, held = np.empty((1, 4096)), np.zeros(1, dtype=np.int64)
-    short = convert(raw, held, out, np.full(1, 4500), 0, *found)
-    return found if not short and np.array_equal(out, wanted) else None
+def _emit_block(
+    code: Code, keys: Any, counters: Any, behind: Any, first: Any, blocks: Any, out: Any
+) -> None:
+    key, counter, rows = Rows(code, keys), Rows(code, counters), Rows(code, out)
+    with code.loop(blocks) as j:
+        block = code.value(code.b.add(first, j))
+        words = []
+        for v in range(0, code.block, code.wide):
+            count = counter.get(0, v, I64) - code.value(behind)
+            pair = (key.get(0, v, I64), key.get(1, v, I64))
+            words.append(threefry(pair, count, count.like(block)))
+        for h in range(0, len(words), 2):
+            for place in range(2):
+                both = [words[h + i][place] for i in range(2)]
+                low = both[0].to(I32).followed_by(both[1].to(I32))
+                high = (both[0] >> 32).to(I32).followed_by((both[1] >> 32).to(I32))
+                for i, z in enumerate(normal_pairs(low, high)):
+                    row = code.b.add(code.b.mul(j, whole(4)), whole(2 * place + i))
+                    for half in range(2):
+                        part = z.part(code.wide * half, code.wide).to(F64)
+                        rows.put(row, code.wide * (h + half), part)
+
+
+def _emit_alone(
+    code: Code, keys: Any, counters: Any, behind: Any, first: Any, blocks: Any, out: Any
+) -> None:
+    key = code.b.bitcast(keys, I64.as_pointer())
+    pair = [code.load(key, place, 1) for place in range(2)]
+    count = code.load(code.b.bitcast(counters, I64.as_pointer()), 0, 1) - code.value(behind)
+    steps = Value(code.b, ir.Constant(ir.VectorType(I64, BLOCKS_ALONE), list(range(BLOCKS_ALONE))))
+    groups = code.b.udiv(code.b.add(blocks, whole(BLOCKS_ALONE - 1)), whole(BLOCKS_ALONE))
+    with code.loop(groups) as group:
+        begin = code.b.add(first, code.b.mul(group, whole(BLOCKS_ALONE)))
+        block = steps + code.value(begin)
+        x, y = threefry((steps.like(pair[0]), steps.like(pair[1])), steps.like(count), block)
+        words = x.shuffled(y, [i // 2 + BLOCKS_ALONE * (i % 2) for i in range(2 * BLOCKS_ALONE)])
+        z = normal_pairs(words.to(I32), (words >> 32).to(I32))
+        both = z[0].shuffled(z[1], [i // 2 + z[0].count * (i % 2) for i in range(2 * z[0].count)])
+        for half in range(2):
+            place = code.b.add(code.b.mul(group, whole(16)), whole(8 * half))
+            code.store(out, place, both.part(8 * half, 8).to(F64))

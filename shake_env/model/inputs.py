@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping
 from numbers import Real
@@ -29,6 +30,21 @@ def checked_action(action: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
             "action", action, "must be finite: current as a fraction of the limit, -1 to 1"
         )
     return array
+
+
+def batch_action(action: Any, shape: tuple[int, int]) -> NDArray[np.floating[Any]]:
+    """Return actions of shape (N, 1) as (N,), of any floating-point type.
+
+    Raises
+    ------
+    ActionError
+        As `checked_action`.
+    """
+    if type(action) is np.ndarray and action.shape == shape and action.dtype.kind == "f":
+        flat = action[:, 0]
+        if math.isfinite(flat.dot(flat)):  # a sum that is not finite may be too large: looked at below
+            return flat
+    return checked_action(action, shape)[:, 0]
 
 
 def _real(action: Any) -> NDArray[np.float64]:

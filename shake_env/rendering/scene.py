@@ -17,7 +17,7 @@ from shake_env.model.plant import TABLE_DISPLACEMENT
 from shake_env.motion.targets import FilteredNoise, Motion
 from shake_env.scenario.limits import REASONS
 from shake_env.scenario.scenario import Scenario
-from shake_env.simulation.simulation import BoolArray, StepResult
+from shake_env.simulation.engine import BoolArray, StepResult
 
 SPAN = 4.0  # [s] of history in the strips
 STRIP_RATE = 200.0  # [Hz] at most: some two points a pixel

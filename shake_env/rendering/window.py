@@ -20,7 +20,7 @@ from shake_env.model.parameters import is_number
 from shake_env.motion.targets import Motion
 from shake_env.rendering.scene import SceneRecorder
 from shake_env.scenario.scenario import Scenario
-from shake_env.simulation.simulation import StepResult
+from shake_env.simulation.engine import StepResult
 
 if TYPE_CHECKING:
     from shake_env.rendering.painter import Painter

@@ -1,10 +1,11 @@
 """N tables in their episodes: transition, excitation, sensors, metrics."""
 
+from shake_env.simulation.engine import StepResult
 from shake_env.simulation.excitation import Excitation
 from shake_env.simulation.memory import check_memory
 from shake_env.simulation.metrics import EpisodeMetrics, Sums
 from shake_env.simulation.sensors import Measurement, SensorMemory
-from shake_env.simulation.simulation import Simulation, StepResult, episode_stream, step_report
+from shake_env.simulation.simulation import Simulation, episode_stream
 from shake_env.simulation.trajectory import Recorder, Trajectory
 from shake_env.simulation.transition import TableModel, dynamics_of
 
@@ -22,5 +23,4 @@ __all__ = [
     "check_memory",
     "dynamics_of",
     "episode_stream",
-    "step_report",
 ]

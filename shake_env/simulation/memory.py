@@ -11,9 +11,9 @@ from shake_env.errors import ScenarioError
 from shake_env.model.discretization import MOST_DIRECTIONS
 from shake_env.motion.targets import FilteredNoise, MotionSet
 from shake_env.scenario.scenario import Scenario
-from shake_env.simulation.excitation import BLOCK_STEPS, CHUNK
 
 NUMBER = 8  # [bytes]
+GENERATOR = 100  # numbers that a table's random generator takes, and what else Python holds of it
 SHARE = 0.8  # of what is free
 UNKNOWN = 8 * 2**30  # [bytes] taken to be free where the operating system does not say
 EXPONENTIAL = 12  # matrices that scipy's matrix exponential holds at once
@@ -45,14 +45,12 @@ def memory_needed(scenario: Scenario, lanes: int) -> int:
     )
     plants = lanes if scenario.uncertainty.active else 1
     samples, spacing = scenario.sensing.preview_steps(scenario.control_period, scenario.physics_step)
-    length = BLOCK_STEPS + math.ceil(samples * spacing / k)
+    slots = 1 + math.ceil(samples * spacing / k)  # of the ring of periods
     readings = 0 if scenario.sensing.full_state else len(scenario.sensing.sensors or ()) + stories
     observation = scenario.observation.size
-    buffers = (
-        2 * length * width * lanes
-        + length * draws * min(lanes, CHUNK)
-        + lanes * (7 * observation + 4 * (table + 2 * k) + 4 * BLOCK_STEPS * (readings + 1))
-    )
+    # A record of each table, and two memories that steps hand out in turn, in single precision.
+    record = table + 2 * k + slots * width + 6 * readings + observation + 40
+    buffers = lanes * (record + 3 * (observation // 2 + 16) + GENERATOR)
     return NUMBER * (design * plants + buffers + _motions(scenario))
 
 

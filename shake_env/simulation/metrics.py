@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shake_env.simulation.simulation import BoolArray, IntArray, StepResult
+from shake_env.simulation.engine import BoolArray, IntArray, StepResult
 
 
 @dataclass(frozen=True)

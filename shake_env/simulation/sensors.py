@@ -1,9 +1,8 @@
-"""Readings of the sensors, pure and against the array API, and the noise that they carry."""
+"""Readings of the sensors, pure and against the array API."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -11,12 +10,9 @@ import array_api_compat
 import numpy as np
 
 from shake_env.dynamics.linear import as_like
-from shake_env.model.parameters import FloatArray
 from shake_env.scenario.observation import STATE_SIGNALS, ObservationLayout
-from shake_env.simulation.random_streams import Normals
 
 Array = Any  # a numpy array or a torch tensor
-BLOCK_STEPS = 64  # control periods whose noise is drawn ahead
 
 
 @dataclass(frozen=True)
@@ -43,6 +39,8 @@ class Measurement:
     rounded: Array  # (s,) 1 where readings are rounded, else 0
     scale: Array  # (s,) SI
     preview_scale: float  # [m/s^2]
+    rms: Array  # (s,) of the white noise, SI
+    offset: Array  # (s,) standard deviation of the constant offset that an episode draws, SI
 
     @classmethod
     def of(cls, layout: ObservationLayout, control_period: float) -> Measurement:
@@ -56,11 +54,13 @@ class Measurement:
             rounded=(resolution > 0.0).astype(float),
             scale=layout.reading_scale,
             preview_scale=float(np.sqrt(layout.plant.target_variance)),
+            rms=layout.sensor_values("noise"),
+            offset=layout.sensor_values("bias"),
         )
 
     def like(self, array: Array) -> Measurement:
         """Return this measurement in the library, precision and device of `array`."""
-        names = ("follow", "resolution", "rounded", "scale")
+        names = ("follow", "resolution", "rounded", "scale", "rms", "offset")
         return replace(self, **{name: as_like(getattr(self, name), array) for name in names})
 
     def rest(self, lanes: int) -> SensorMemory:
@@ -173,79 +173,3 @@ class Measurement:
         if shown.history:
             parts.append(xp.reshape(memory.past, (*memory.past.shape[:-2], -1)))
         return xp.concat(parts, axis=-1) if len(parts) > 1 else head
-
-
-class SensorNoise:
-    """Noise and offsets of N tables' sensors, each episode from a stream of its own.
-
-    Parameters
-    ----------
-    layout
-        What is measured.
-    lanes
-        Number of tables N.
-    """
-
-    def __init__(self, layout: ObservationLayout, lanes: int) -> None:
-        self._rms = layout.sensor_values("noise")
-        self._bias = layout.sensor_values("bias")
-        self.active = bool(self._rms.any() or self._bias.any())
-        self._normals = Normals(lanes)
-        self._block = np.zeros((lanes, BLOCK_STEPS, len(self._rms)))
-        self._cursor = 0
-
-    def start(
-        self, lanes: Sequence[int], streams: Sequence[np.random.Generator]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Begin an episode in each of `lanes`.
-
-        Returns
-        -------
-        bias, noise
-            (len(lanes), s) offsets of the episode, and the noise of the reading at rest, SI.
-        """
-        bias, noise = np.zeros((2, len(lanes), len(self._rms)))
-        if self.active:
-            for row, (lane, stream) in enumerate(zip(lanes, streams, strict=True)):
-                # Spawned: the ground's own draws stay what they are without sensors.
-                own = stream.spawn(1)[0]
-                bias[row] = self._bias * own.standard_normal(len(self._bias))
-                noise[row] = self._rms * own.standard_normal(len(self._rms))
-                self._normals[lane] = own
-            self._draw(list(lanes), self._cursor)
-        return bias, noise
-
-    def advance(self) -> FloatArray:
-        """Return the noise (N, s) of the next reading of every lane; valid until the next call."""
-        block, row = self.take()
-        return block[:, row]
-
-    def take(self) -> tuple[FloatArray, int]:
-        """Return the noise ahead (N, rows, s) and the row in it of the next reading."""
-        if not self.active:
-            return self._block, 0
-        if self._cursor == BLOCK_STEPS:
-            self._cursor = 0
-            self._draw(self._normals.lanes, 0)
-        self._cursor += 1
-        return self._block, self._cursor - 1
-
-    def _draw(self, lanes: list[int], first: int) -> None:
-        drawn = np.empty((len(lanes), BLOCK_STEPS - first, len(self._rms)))
-        self._normals.fill(lanes, drawn.reshape(len(lanes), -1))
-        drawn *= self._rms
-        self._block[lanes, first:] = drawn
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return everything that `restore` needs to go on exactly."""
-        return {
-            "streams": self._normals.snapshot(),
-            "block": self._block.copy(),
-            "cursor": self._cursor,
-        }
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go on from a `snapshot`."""
-        self._normals.restore(snapshot["streams"])
-        self._block[:] = snapshot["block"]
-        self._cursor = snapshot["cursor"]

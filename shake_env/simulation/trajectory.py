@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shake_env.model.parameters import FloatArray
-from shake_env.simulation.simulation import BoolArray, StepResult
+from shake_env.simulation.engine import BoolArray, StepResult
 
 
 @dataclass(frozen=True)

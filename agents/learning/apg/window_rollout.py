@@ -367,19 +367,7 @@ class WindowRollout:
 
     def _ahead(self, steps: int) -> tuple[GroundPeriod, NDArray[np.float64]]:
         """Return ground (H, N, ...) and sensor noise (H, N, s) of the coming control periods."""
-        simulation = self.env.simulation
-        rows: dict[str, list[Any]] = {field.name: [] for field in fields(GroundPeriod)}
-        noise = []
-        for _ in range(steps):
-            period = simulation.excitation.advance()
-            for name, column in rows.items():
-                part = getattr(period, name)
-                column.append(None if part is None else part.copy())
-            noise.append(simulation.noise.advance().copy())
-        stacked = {
-            name: None if column[0] is None else np.stack(column) for name, column in rows.items()
-        }
-        return GroundPeriod(**stacked), np.stack(noise)
+        return self.env.simulation.ground_ahead(steps)
 
 
 def _part(ground: GroundPeriod, which: int | slice) -> GroundPeriod:

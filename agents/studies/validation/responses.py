@@ -17,6 +17,7 @@ from baselines.lqr.sampled import LinearFeedback, sampled_lqr
 from shake_env.model.discretization import first_order_hold
 from shake_env.model.parameters import FloatArray
 from shake_env.model.plant import LOAD_PRESSURE, SPOOL_POSITION, TABLE_DISPLACEMENT, TABLE_VELOCITY
+from shake_env.model.random_numbers import episode_key
 from shake_env.motion.targets import Envelope, FilteredNoise, RecordedMotion, target_history
 from shake_env.rollout import (
     Earthquake,
@@ -152,8 +153,9 @@ def smooth_target(scenario: Scenario, quake: Earthquake, samples: int) -> FloatA
     assert isinstance(quake.motion, FilteredNoise)  # a group shakes one motion at a time
     fine = replace(scenario, control_rate=1.0 / step)
     ground = scenario.ground
-    excitation = Excitation(fine.discrete, 1)
-    excitation.start([0], [quake.motion], [np.random.default_rng(quake.seed)])
+    excitation = Excitation(fine.discrete, 1, finer=scenario.substeps)
+    key = episode_key(np.random.default_rng(quake.seed))
+    excitation.start([0], [quake.motion], [key])
     velocity = np.zeros(samples + 1)
     for j in range(samples):
         state = excitation.advance().ground[0]

@@ -29,6 +29,7 @@ from baselines.analysis.closed_loop import closed_loop, forced_response
 from baselines.lqr.continuous import continuous_lqr
 from shake_env.model.parameters import Actuator, GroundFilter, ModelEquations, Specimen
 from shake_env.model.plant import CoupledPlant
+from shake_env.model.random_numbers import episode_key
 from shake_env.motion.targets import FilteredNoise, RecordedMotion
 from shake_env.rollout import Earthquake
 from shake_env.scenario.overrides import make_scenario
@@ -174,7 +175,7 @@ def test_high_passed_noise_keeps_its_displacement():
     smooth = smooth_target(scenario, quake, 20_000)
     displacement = CubicSpline(STEP * np.arange(len(smooth)), smooth).antiderivative(2)
     excitation = Excitation(scenario.discrete, 1)
-    excitation.start([0], [quake.motion], [np.random.default_rng(quake.seed)])
+    excitation.start([0], [quake.motion], [episode_key(np.random.default_rng(quake.seed))])
     ground = np.array([excitation.advance().ground[0, 2] for _ in range(4000)])
     t = scenario.control_period * np.arange(1, 4001)
     np.testing.assert_allclose(displacement(t), ground, atol=1e-2 * np.max(np.abs(ground)))

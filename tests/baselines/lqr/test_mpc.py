@@ -118,7 +118,7 @@ def test_predicted_signals_are_those_of_the_table():
     layout = scenario.plant.layout
     rng = np.random.default_rng(1)
     scale = scenario.plant.state_scale[layout.controlled]
-    simulation.state[:] = 0.3 * rng.standard_normal((3, len(scale))) * scale
+    simulation.state = 0.3 * rng.standard_normal((3, len(scale))) * scale
     observation = np.zeros((3, scenario.observation.size))
     observation[:, layout.controlled] = simulation.state / scale
     H = 40
@@ -188,7 +188,9 @@ def test_a_table_far_outside_its_limits_is_brought_back():
     controller, simulation = PredictiveControl(scenario, settings), Simulation(scenario, 1)
     observation = simulation.start([0], [np.random.default_rng(0)])
     place = scenario.plant.layout.table_displacement
-    simulation.state[0, 1] = 0.12
+    state = simulation.state
+    state[0, 1] = 0.12
+    simulation.state = state
     observation[0, place] = 0.12 / scenario.plant.state_scale[place]
     memory = None
     for _ in range(200):

@@ -10,6 +10,7 @@ from baselines.lqr.sampled import sampled_lqr, stationary_performance
 from shake_env import FilteredNoise, Scenario, make_scenario
 from shake_env.errors import ParameterError
 from shake_env.model.discretization import MOST_DIRECTIONS, noise_covariance, noise_factor
+from shake_env.model.random_numbers import episode_key
 from shake_env.simulation.excitation import Excitation
 
 CASES = [
@@ -137,7 +138,7 @@ def test_a_seed_gives_the_same_earthquake_to_every_specimen(highpass):
     for overrides in ({"stories": 2}, {"stories": 10}, {"stories": 2, "storey_frequency": 9.0}):
         scenario = make_scenario("linear", {**overrides, "highpass_frequency": highpass})
         excitation = Excitation(scenario.discrete, 1)
-        excitation.start([0], [FilteredNoise()], [np.random.default_rng(1)])
+        excitation.start([0], [FilteredNoise()], [episode_key(np.random.default_rng(1))])
         targets.append(np.array([excitation.advance().target[0].copy() for _ in range(400)]))
     for other in targets[1:]:
         assert np.max(np.abs(other - targets[0])) < 1e-9 * np.max(np.abs(targets[0]))

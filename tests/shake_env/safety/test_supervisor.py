@@ -61,7 +61,7 @@ def drive(scenario, controller, lanes, seed, steps, motions=None):
         peaks = np.where(running[:, None], np.maximum(peaks, now), peaks)
         code = np.where(running & result.terminated, result.outcome.broken, code)
         running &= ~(result.terminated | result.truncated)
-        simulation.state[~running] = 0.0
+        simulation.rest(~running)
         observation = result.observation
     return code, peaks
 

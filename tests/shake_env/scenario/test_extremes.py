@@ -203,8 +203,8 @@ def test_random_scenarios_step_with_finite_numbers_or_say_what_is_wrong():
 
 
 def test_memory_is_estimated_before_it_is_taken():
-    with pytest.raises(ScenarioError, match=r"memory = '.* GiB': .*num_envs \(5000000\)"):
-        ShakeTableVectorEnv(5_000_000)
+    with pytest.raises(ScenarioError, match=r"memory = '.* GiB': .*num_envs \(10000000\)"):
+        ShakeTableVectorEnv(10_000_000)
     with pytest.raises(ScenarioError, match="memory"):
         ShakeTableVectorEnv(1000, "unknown-specimen", stories=200)
     with pytest.raises(ParameterError, match="num_envs"):

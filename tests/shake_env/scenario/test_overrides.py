@@ -111,7 +111,7 @@ def test_a_motion_set_draws_every_motion_from_the_episodes_stream():
     assert isinstance(scenario.motion, MotionSet) and len(scenario.motion.motions) == 6
     simulation = Simulation(make_scenario("records", {"duration": 1.0}), 60)
     simulation.start(range(60), [np.random.default_rng(i) for i in range(60)])
-    drawn = [motion.record for motion in simulation.excitation._motions]
+    drawn = [motion.record for motion in simulation.engine.motions]
     assert set(drawn) == set(RECORD_NAMES)
     again = scenario.motion.pick(np.random.default_rng(7))
     assert again.record == drawn[7]

@@ -27,7 +27,7 @@ def ground_of(simulation, steps):
         drive = None if period.drive is None else period.drive.copy()
         return GroundPeriod(*(part.copy() for part in parts), drive)
 
-    return [copied(simulation.excitation.advance()) for _ in range(steps)]
+    return [copied(simulation.advance_ground()[0]) for _ in range(steps)]
 
 
 def run(model, state, actions, ground):
@@ -80,7 +80,7 @@ def test_single_env_vector_lane_and_torch_agree_over_ten_seconds_and_an_autorese
         source.start([0], stream.spawn(1))
         state = torch.zeros((1, model.dynamics.states), dtype=torch.float64)
         for t in range(first, last):
-            ground = source.excitation.advance().like(state)
+            ground = source.advance_ground()[0].like(state)
             outcome = model.transition(
                 state, torch.as_tensor(actions[t, lane], dtype=torch.float64), ground
             )
@@ -246,7 +246,7 @@ def test_clipped_actions_have_no_gradient():
     model = TableModel.of(scenario).like(like)
     simulation = Simulation(scenario, 2)
     simulation.start(range(2), generators([0, 1]))
-    ground = simulation.excitation.advance().like(like)
+    ground = simulation.advance_ground()[0].like(like)
     action = torch.tensor([1.5, 0.5], dtype=torch.float64, requires_grad=True)
     outcome = model.transition(torch.zeros((2, 8), dtype=torch.float64), action, ground)
     outcome.cost.total.sum().backward()
@@ -281,7 +281,7 @@ def test_limits_are_found_on_tensors_as_on_arrays():
     model = TableModel.of(scenario)
     simulation = Simulation(scenario, 5)
     simulation.start(range(5), generators(range(5)))
-    ground = simulation.excitation.advance()
+    ground = simulation.advance_ground()[0]
     state = np.zeros((5, 8))
     state[1, 1], state[2, 2], state[3, 0], state[4, 3] = 0.08, 0.7, 3e7, np.nan
     action = np.zeros(5)

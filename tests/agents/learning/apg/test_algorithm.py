@@ -116,7 +116,9 @@ def test_a_motion_that_ends_within_a_window_counts_to_its_end_and_the_next_one_b
 def test_a_broken_limit_is_paid_for_and_ends_the_episode():
     scenario = make_scenario("linear", {"limits": "laboratory"})
     model = model_on(scenario, lanes=2)
-    model.env.simulation.state[1, 1] = 0.08  # m: beyond the stroke
+    state = model.env.simulation.state
+    state[1, 1] = 0.08  # m: beyond the stroke
+    model.env.simulation.state = state
     with torch.no_grad():
         _, window, _ = model.window_loss()
     assert window.terminated.tolist() == [False, True] and window.steps.tolist() == [12, 1]
@@ -130,7 +132,9 @@ def test_a_broken_limit_is_paid_for_and_ends_the_episode():
 def test_a_lost_table_leaves_the_gradient_finite():
     scenario = make_scenario()
     model = model_on(scenario, lanes=2)
-    model.env.simulation.state[1, 0] = 1e4 * scenario.plant.state_scale[2]
+    state = model.env.simulation.state
+    state[1, 0] = 1e4 * scenario.plant.state_scale[2]
+    model.env.simulation.state = state
     loss, window, _ = model.window_loss()
     gradients = torch.autograd.grad(loss, model._actor)
     assert window.terminated.tolist() == [False, True]

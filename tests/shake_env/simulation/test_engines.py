@@ -1,4 +1,4 @@
-"""The fused step against the readable model that it repeats, and what it must not break."""
+"""The compiled engine against the readable one that it repeats, and what it must not break."""
 
 import copy
 import pickle
@@ -22,11 +22,12 @@ from shake_env import (
 )
 from shake_env.dynamics.nonlinear import controlled_scale
 from shake_env.env import INFO_KEYS
-from shake_env.kernels.lanes import BLOCK, SOURCES, stamp
+from shake_env.errors import ScenarioError
+from shake_env.kernels.vectors import BLOCK
 from shake_env.model.nonlinearity import Friction, Nonlinearity, ServoValve, StrokeStops, Yielding
 from shake_env.scenario.limits import Limits
 from shake_env.scenario.uncertainty import Uncertainty, Uniform
-from shake_env.simulation import simulation
+from shake_env.simulation.reference_engine import ReferenceEngine
 from shake_env.simulation.simulation import Simulation
 
 LABORATORY = Nonlinearity(
@@ -93,13 +94,14 @@ SCENARIOS = st.fixed_dictionaries(
 
 
 def pair(scenario, lanes):
-    """Return a simulation that steps fused, and one that steps the model, begun alike."""
-    fused = Simulation(scenario, lanes)
-    assert fused._fused is not None
+    """Return a simulation that steps compiled, and one that steps the readable model."""
+    compiled = Simulation(scenario, lanes)
+    assert not isinstance(compiled.engine, ReferenceEngine)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(numba_support, "COMPILED", False)
         plain = Simulation(scenario, lanes)
-    return fused, plain
+    assert isinstance(plain.engine, ReferenceEngine)
+    return compiled, plain
 
 
 def uncompiled(call):
@@ -124,19 +126,21 @@ def close(ours, theirs, size=None):
     lanes=st.sampled_from([1, 2, 5, BLOCK + 3]),
     seed=st.integers(0, 2**16),
 )
-def test_fused_and_model_agree(options, lanes, seed):
+def test_compiled_and_readable_engine_agree(options, lanes, seed):
     scenario = make_scenario("linear", options)
-    fused, plain = pair(scenario, lanes)
-    ours = fused.start(range(lanes), streams(range(lanes), seed))
+    compiled, plain = pair(scenario, lanes)
+    ours = compiled.start(range(lanes), streams(range(lanes), seed))
     theirs = uncompiled(lambda: plain.start(range(lanes), streams(range(lanes), seed)))
     np.testing.assert_array_max_ulp(ours, theirs, 1)
     scale = controlled_scale(scenario.plant, scenario.nonlinearity)
-    scale = np.concatenate([scale, np.full(fused.state.shape[1] - len(scale), scenario.current_limit)])
+    scale = np.concatenate(
+        [scale, np.full(compiled.state.shape[1] - len(scale), scenario.current_limit)]
+    )
     rng = np.random.default_rng(seed)
     running = np.ones(lanes, dtype=bool)
     for t in range(70):
         action = rng.normal(0.0, 0.3, lanes)
-        mine = fused.step(action)
+        mine = compiled.step(action)
         model = uncompiled(lambda action=action: plain.step(action))
         np.testing.assert_array_equal(mine.terminated, model.terminated)
         np.testing.assert_array_equal(mine.truncated, model.truncated)
@@ -165,12 +169,12 @@ def test_fused_and_model_agree(options, lanes, seed):
         running &= ~(mine.terminated | mine.truncated)
         if t == 40:  # some begin anew, in the middle of a block
             anew = list(range(0, lanes, 2))
-            fused.start(anew, streams(anew, seed + 1))
+            compiled.start(anew, streams(anew, seed + 1))
             uncompiled(lambda anew=anew: plain.start(anew, streams(anew, seed + 1)))
             running[anew] = True
         # What has ended is put to rest, as by a roll-out: a table far beyond its limits may overflow.
-        for one in (fused, plain):
-            one.state[~running] = 0.0
+        for one in (compiled, plain):
+            one.rest(~running)
 
 
 def test_a_step_alone_says_what_a_step_says():
@@ -180,13 +184,53 @@ def test_a_step_alone_says_what_a_step_says():
         sim.start([0], streams([0], 3))
     for t in range(100):
         action = 0.3 * (-1.0) ** (t // 10)
-        seen, report, ends = one.step_alone(action)
+        seen, report, ended = one.engine.step_alone(action)
         result = other.step(np.array([action]))
         np.testing.assert_array_equal(seen, result.observation[0])
-        expected = [*simulation.step_report(result), result.reward, result.outcome.broken]
-        assert report == [float(value[0]) for value in expected]
-        assert ends == int(result.terminated[0]) + 2 * int(result.truncated[0])
-        assert (ends == 2) == (t == 99)
+        assert report == result.report[:, 0].tolist() and ended == result.ended
+        assert (ended == 2) == (t == 99)
+
+
+@pytest.mark.parametrize("name", ["linear", "as-printed", "laboratory", "yielding", "records"])
+def test_a_table_is_the_same_to_the_bit_in_any_batch(name):
+    """Alone, in a block and in two; beside a table that begins anew in the middle of its episode."""
+    scenario, lanes, lane = make_scenario(name, {}), BLOCK + 5, BLOCK + 1
+    batch, alone = Simulation(scenario, lanes), Simulation(scenario, 1)
+    few = Simulation(scenario, 3)
+    first = batch.start(range(lanes), streams(range(lanes), 1))[lane]
+    np.testing.assert_array_equal(alone.start([0], streams([lane], 1))[0], first)
+    np.testing.assert_array_equal(few.start([2], streams([lane], 1))[0], first)
+    rng = np.random.default_rng(0)
+    for t in range(80):
+        action = rng.normal(0.0, 0.2, lanes)
+        if t == 30:
+            batch.start([lane - 1, 0], streams([99, 98], 1))
+        result, small = batch.step(action), few.step(np.full(3, action[lane]))
+        seen, report, _ = alone.engine.step_alone(action[lane])
+        np.testing.assert_array_equal(result.observation[lane], seen)
+        np.testing.assert_array_equal(result.report[:, lane], report)
+        np.testing.assert_array_equal(small.report[:, 2], report)
+
+
+def test_a_result_of_an_earlier_period_is_refused():
+    sim = Simulation(make_scenario("linear"), 3)
+    sim.start(range(3), streams(range(3), 0))
+    result = sim.step(np.zeros(3))
+    sim.step(np.zeros(3))
+    with pytest.raises(ScenarioError, match="before the next step"):
+        _ = result.outcome
+
+
+def test_a_snapshot_of_one_engine_goes_on_in_the_other():
+    scenario = make_scenario("yielding", {"duration": 2.0})
+    compiled, plain = pair(scenario, 3)
+    compiled.start(range(3), streams(range(3), 0))
+    for _ in range(30):
+        compiled.step(np.full(3, 0.1))
+    plain.restore(pickle.loads(pickle.dumps(compiled.snapshot())))
+    for _ in range(30):
+        ours, theirs = compiled.step(np.full(3, 0.1)), uncompiled(lambda: plain.step(np.full(3, 0.1)))
+        np.testing.assert_allclose(ours.observation, theirs.observation, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
@@ -234,10 +278,10 @@ def test_info_has_its_keys_in_order():
 
 def test_without_numba_the_model_steps(monkeypatch):
     numba_support._load.cache_clear()
-    monkeypatch.setitem(sys.modules, "shake_env.simulation.fused_tables", None)
+    monkeypatch.setitem(sys.modules, "shake_env.simulation.compiled_engine", None)
     try:
         sim = Simulation(make_scenario("laboratory"), 2)
-        assert sim._fused is None
+        assert isinstance(sim.engine, ReferenceEngine)
         sim.start(range(2), streams(range(2), 0))
         assert np.all(sim.step(np.full(2, 0.3)).reward < 0.0)
     finally:
@@ -266,15 +310,23 @@ def test_a_sharp_knee_stays_finite(compiled, monkeypatch):
     assert law.yield_drift < largest < law.yield_drift + 1.5 * scenario.physics_step * fastest
 
 
-def test_the_stamp_changes_with_every_source(tmp_path, monkeypatch):
-    from shake_env.kernels import lanes
-
-    for name in SOURCES:
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / f"{name}.py").write_text(name)
-    monkeypatch.setattr(lanes, "__file__", str(tmp_path / "kernels" / "lanes.py"))
-    found = {stamp()}
-    for name in SOURCES:
-        (tmp_path / f"{name}.py").write_text(name + "#")
-        found.add(stamp())
-    assert len(found) == len(SOURCES) + 1
+def test_threads_do_not_change_a_bit():
+    scenario, lanes = make_scenario("linear", {"duration": 0.1}), 1100
+    one, two = Simulation(scenario, lanes), Simulation(scenario, lanes, threads=2)
+    assert len(two.engine._helpers) == 1 and not one.engine._helpers
+    few = Simulation(scenario, 100, threads=2)
+    assert not few.engine._helpers
+    for sim in (one, two):
+        sim.start(range(lanes), streams(range(lanes), 0))
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        action = rng.normal(0.0, 0.2, lanes)
+        ours, theirs = two.step(action), one.step(action)
+        np.testing.assert_array_equal(ours.report, theirs.report)
+        np.testing.assert_array_equal(ours.observation, theirs.observation)
+        assert ours.ended == theirs.ended
+    assert theirs.ended and ours.truncated.all()
+    twin = pickle.loads(pickle.dumps(two))
+    twin.start([1090], streams([5], 5))
+    two.start([1090], streams([5], 5))
+    np.testing.assert_array_equal(twin.step(action).report, two.step(action).report)

@@ -1,0 +1,311 @@
+"""A scenario's numbers as the compiled step takes them; the places are named in `kernels.layout`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shake_env.dynamics.ground import Rows
+from shake_env.dynamics.linear import TableDynamics
+from shake_env.kernels.layout import FIELDS, MATRICES, ROOM, SCALARS, VECTORS
+from shake_env.model.nonlinearity import Nonlinearity
+from shake_env.model.parameters import FloatArray
+from shake_env.model.plant import TABLE_DISPLACEMENT
+from shake_env.scenario.limits import OBSERVATION_BOUND, REASONS
+from shake_env.scenario.observation import STATE_SIGNALS
+from shake_env.simulation.engine import Tables
+from shake_env.simulation.excitation import periods_ahead
+
+IntArray = NDArray[np.int64]
+BEHIND = 32  # numbers behind those of a table alone, which it reads and never uses
+MOST_REPEATED = 16  # a whole exponent up to which a power is repeated multiplication
+
+
+def up(count: int, multiple: int) -> int:
+    """Return the next multiple of a whole number, or the number itself if it is one."""
+    return -(-count // multiple) * multiple
+
+
+@dataclass(frozen=True)
+class Packed:
+    """What the compiled step of a scenario reads and never writes, and where its fields lie."""
+
+    sizes: dict[str, int]  # by name of layout.SIZES
+    rows: dict[str, slice]  # of a record, by name of layout.FIELDS
+    room: dict[str, slice]  # likewise, of the room to work in
+    record_rows: int
+    room_rows: int
+    numbers: FloatArray
+    vectors: dict[str, int]  # where each begins in the numbers
+    matrices: dict[str, tuple[int, int]]  # where each begins, and its length
+    matrices_size: int
+    # (segments, 5) of an observation: first entry, entries, row, periods ahead, and rows of a slot or 0
+    sources: IntArray
+    signals: IntArray  # (s,) row of each reading's signal
+
+
+def pack(tables: Tables, block: int) -> Packed:
+    """Lay out the tables of a scenario in blocks of 1 or more."""
+    sizes = _sizes(tables)
+    rows, record_rows = _slices(_field_rows(tables, sizes, block), FIELDS)
+    sources = _sources(tables, sizes, rows)
+    sizes["segments"] = len(sources)
+    room, room_rows = _slices(_room_rows(sizes, block), ROOM)
+    numbers, vectors = _numbers(tables, sizes)
+    places, start = {}, 0
+    for name, matrix in matrices(tables).items():
+        places[name] = (start, int(np.prod(matrix.shape[-2:])))
+        start += places[name][1]
+    return Packed(
+        sizes=sizes,
+        rows=rows,
+        room=room,
+        record_rows=record_rows + BEHIND // 4,
+        room_rows=room_rows,
+        numbers=numbers,
+        vectors=vectors,
+        matrices=places,
+        matrices_size=start,
+        sources=sources,
+        signals=_signals(tables, sizes, rows),
+    )
+
+
+def matrices(tables: Tables) -> dict[str, FloatArray]:
+    """Return each matrix, (rows, columns) or one a table, in the order of `layout.MATRICES`."""
+    dynamics, reference = tables.model.dynamics, tables.maps.yielding
+    batch = tables.maps.noise.shape[:-2]
+    none = np.zeros((*batch, 0, 0))
+    made = dict.fromkeys(MATRICES, none)
+    made["noise_map"], made["record_map"] = tables.maps.noise, tables.maps.record
+    if reference is not None:
+        parts = (reference.A, reference.ground, reference.ground_next, reference.level)
+        made["yield_step"] = np.concatenate(parts, axis=-1)
+        made["yield_change"], made["yield_shear"] = reference.slope, reference.C
+    if tables.model.floor_rows is not None:
+        made["floor_map"] = tables.model.floor_rows
+    if isinstance(dynamics, TableDynamics):
+        return {**made, "advance": dynamics.matrix}
+    # Columns of parts that are off are left out.
+    switches = _switches(dynamics.parts, dynamics.stories, 0)
+    names = ("flow", "force", "rate", *["slips"] * dynamics.stories)
+    on = np.array([switches[name] >= 0 for name in names[: dynamics.slope.shape[-1]]])
+    used = np.concatenate([np.ones(dynamics.advance.shape[-1] - len(on), dtype=bool), on])
+    unheld = np.zeros((*dynamics.C.shape[:-1], 1))
+    return {
+        **made,
+        "advance": dynamics.advance[..., used],
+        "change": dynamics.slope[..., on],
+        "outputs": np.concatenate([dynamics.C, unheld, dynamics.D[..., on]], axis=-1),
+        "arrival": dynamics.arrival,
+    }
+
+
+def lane_rows(tables: Tables) -> dict[str, FloatArray]:
+    """Return what stands in a record of each table's plant, (rows,) or one column a table (N, rows)."""
+    cost, dynamics = tables.model.stage_cost, tables.model.dynamics
+    weights = np.stack(
+        [np.asarray(c, float) for c in (cost.acceleration, cost.force, cost.current)], axis=-1
+    )
+    if isinstance(dynamics, TableDynamics):
+        return {"weights": weights}
+    coulomb = np.asarray(dynamics.coulomb)[..., None]
+    return {"weights": weights, "coulomb": coulomb, "spool_rate": dynamics.spool_rate}
+
+
+def _switches(parts: Nonlinearity, stories: int, order: int) -> dict[str, int]:
+    """Return which parts are on, and where their columns lie; -1: off, its columns left out."""
+    widths = {
+        "flow": int(parts.valve.flow_active),
+        "force": int(parts.friction.active or parts.stops.active),
+        "rate": int(math.isfinite(parts.valve.spool_rate_limit)),
+        "slips": stories * parts.yielding.active,
+    }
+    found, start = {}, 0
+    for name, width in widths.items():
+        found[name] = start if width else -1
+        start += width
+    first_order = parts.valve.natural_frequency is None
+    exponent = parts.yielding.exponent
+    repeated = float(exponent).is_integer() and exponent <= MOST_REPEATED
+    return {
+        **found,
+        "columns": start,
+        "friction": int(parts.friction.active),
+        "static": int(parts.friction.static is not None),
+        "spool_velocity": -1 if first_order else order - 1,
+        "whole_exponent": int(exponent) if repeated else 0,
+    }
+
+
+def _sizes(tables: Tables) -> dict[str, int]:
+    """Return the sizes of a scenario."""
+    model, discrete, layout = tables.model, tables.scenario.discrete, tables.scenario.observation
+    dynamics, ground, sensing = model.dynamics, Rows.of(discrete), layout.sensing
+    lifted = isinstance(dynamics, TableDynamics)
+    order = model.controlled if isinstance(dynamics, TableDynamics) else dynamics.advance.shape[-2]
+    parts = Nonlinearity() if isinstance(dynamics, TableDynamics) else dynamics.parts
+    k, ahead = discrete.substeps, periods_ahead(tables.preview, discrete.substeps)
+    draws = tables.maps.noise.shape[-1] - ground.ground - ground.reference
+    entry = layout.readings_count + sensing.last_action
+    floors = model.floor_rows
+    return {
+        **_switches(parts, discrete.layout.stories, order),
+        "own": int(tables.maps.noise.ndim > 2),
+        "order": order,
+        "commands": dynamics.states - order,
+        "controlled": model.controlled,
+        "substeps": k,
+        "stories": discrete.layout.stories,
+        "filter": ground.ground,
+        "reference": ground.reference,
+        "drive": ground.drive,
+        "width": ground.width,
+        "stride": up(ground.width, 8),
+        "slots": ahead + 1,
+        "ahead": ahead,
+        "rank": draws // k,
+        "draws": draws,
+        "lifted": int(lifted),
+        "yielding": int(tables.maps.yielding is not None),
+        "readings": layout.readings_count,
+        "entry": entry,
+        "history": sensing.history * entry,
+        "shown": layout.size,
+        "storeys_seen": 0 if floors is None else floors.shape[-2],
+        "floor_columns": 0 if floors is None else floors.shape[-1],
+    }
+
+
+def _field_rows(tables: Tables, sizes: Mapping[str, int], block: int) -> dict[str, int]:
+    """Return how many rows of a record each field has."""
+    rows = dict.fromkeys(FIELDS, 1)
+    s, k = sizes["readings"], sizes["substeps"]
+    yields = sizes["yielding"]
+    return rows | {
+        "key": 2,
+        "weights": 3,
+        "spool_rate": 2,
+        "state": sizes["order"] + sizes["commands"],
+        "response": 2 * k,
+        "floors": sizes["storeys_seen"],
+        "filtered": s,
+        "bias": s,
+        "noise": up(s, 16 if block == 1 else 4),
+        "reading": s,
+        "past": sizes["history"],
+        "slipping": 3 * sizes["stories"] * yields,
+        "last_target": yields,
+        "ring": sizes["slots"] * sizes["stride"],
+    }
+
+
+def _room_rows(sizes: Mapping[str, int], block: int) -> dict[str, int]:
+    """Return how many rows of room each product and function needs."""
+    order, k, n, columns = sizes["order"], sizes["substeps"], sizes["stories"], sizes["columns"]
+    exogenous = sizes["filter"] + sizes["reference"]
+    drawn = exogenous + up(sizes["draws"], 16 if block == 1 else 4)
+    sums = (order + 2 * k, sizes["reference"] + k + sizes["drive"], 3 * n, sizes["storeys_seen"], k)
+    return {
+        "x": max(drawn, order + 1 + columns, 4 * n + 2),
+        "y": up(max(sums), 8),
+        "later": up(max(columns, n, 1), 8),
+        "outputs": 8,
+        "arriving": up(k, 8),
+        "samples": exogenous + k + 1,
+        "look": up(sizes["shown"], 16) // 2,
+    }
+
+
+def _slices(rows: Mapping[str, int], names: Sequence[str]) -> tuple[dict[str, slice], int]:
+    found, start = {}, 0
+    for name in names:
+        found[name] = slice(start, start + rows[name])
+        start += rows[name]
+    return found, start
+
+
+def _numbers(tables: Tables, sizes: Mapping[str, int]) -> tuple[FloatArray, dict[str, int]]:
+    """Return the scalars and vectors in one array, and where the vectors begin."""
+    model = tables.model
+    limits, measured, layout = model.limits, model.measurement, model.measurement.layout
+    dynamics = model.dynamics
+    parts = Nonlinearity() if isinstance(dynamics, TableDynamics) else dynamics.parts
+    friction, valve, stops, yielding = parts.friction, parts.valve, parts.stops, parts.yielding
+    hard = [math.inf if (limit := getattr(limits, name)) is None else limit for name in REASONS[1:]]
+    scalars = dict(
+        zip(
+            SCALARS,
+            (
+                0.0 if friction.static is None else friction.static - friction.coulomb,
+                friction.stribeck_velocity, friction.smoothing_velocity, friction.viscous,
+                valve.supply_pressure, valve.spool_limit, valve.dead_band, valve.spool_rate_limit,
+                stops.gap, stops.stiffness, stops.damping, yielding.yield_drift, yielding.exponent,
+                model.current_limit, tables.limit_rate, tables.limit_steps, limits.soft_share,
+                limits.soft_weight, *hard, OBSERVATION_BOUND,
+            ),
+            strict=True,
+        )
+    )  # fmt: skip
+    scale, filter_states = model.observation_scale, sizes["filter"]
+    bounds = limits.state_limit * scale[filter_states : filter_states + sizes["controlled"]]
+    bounds[TABLE_DISPLACEMENT] = math.inf  # it may drift
+    head = scale[: layout.head]
+    inverse = np.ones(layout.size)
+    inverse[: len(head)] = 1.0 / head
+    inverse[layout.preview] = 1.0 / measured.preview_scale
+    found = (
+        bounds, inverse, measured.follow, measured.resolution, measured.rounded, measured.scale,
+        measured.rms, measured.offset,
+    )  # fmt: skip
+    starts, start = {}, len(scalars)
+    for name, values in zip(VECTORS, found, strict=True):
+        starts[name] = start
+        start += len(values)
+    # Numbers behind, which a table alone reads and never uses.
+    values = [np.array(list(scalars.values()), dtype=float), *found, np.zeros(BEHIND)]
+    return np.concatenate(values), starts
+
+
+def _sources(tables: Tables, sizes: Mapping[str, int], rows: Mapping[str, slice]) -> IntArray:
+    """Return where each entry of an observation lies."""
+    layout = tables.scenario.observation
+    ring, stride, k = rows["ring"].start, sizes["stride"], sizes["substeps"]
+    filter_states, reference = sizes["filter"], sizes["reference"]
+    found = [(ring + i, 0, stride) for i in range(filter_states)]
+    if layout.sensing.full_state:
+        found += [(rows["state"].start + i, 0, 0) for i in range(sizes["controlled"])]
+        found += [(ring + filter_states + i, 0, stride) for i in range(reference)]
+    found += [(rows["reading"].start + i, 0, 0) for i in range(sizes["readings"])]
+    samples, spacing = tables.preview
+    for i in range(samples):
+        ahead = (i + 1) * spacing - 1
+        found.append((ring + filter_states + reference + ahead % k, 1 + ahead // k, stride))
+    found += [(rows["action"].start, 0, 0)] * layout.sensing.last_action
+    found += [(rows["past"].start + i, 0, 0) for i in range(sizes["history"])]
+    segments: list[list[int]] = []
+    for i, (row, ahead, rows_of_slot) in enumerate(found):
+        _, count, *place = segments[-1] if segments else (0, 0)
+        if count and place == [row - count, ahead, rows_of_slot]:
+            segments[-1][1] += 1
+        else:
+            segments.append([i, 1, row, ahead, rows_of_slot])
+    return np.array(segments, dtype=np.int64)
+
+
+def _signals(tables: Tables, sizes: Mapping[str, int], rows: Mapping[str, slice]) -> IntArray:
+    """Return the row of a record that each reading is taken from."""
+    k, found = sizes["substeps"], []
+    for name in tables.scenario.observation.reading_names:
+        if name in STATE_SIGNALS:
+            found.append(rows["state"].start + STATE_SIGNALS[name])
+        elif name.startswith("floor"):
+            found.append(rows["floors"].start + int(name.rsplit("_", 1)[1]) - 1)
+        else:
+            last = {"table_acceleration": k - 1, "base_shear": 2 * k - 1}[name]
+            found.append(rows["response"].start + last)
+    return np.array(found, dtype=np.int64)
