@@ -46,7 +46,7 @@ TOPICS = {
         "model", "scenario", "motion", "records", "dynamics", "simulation", "safety", "rendering",
         "kernels",
     ),
-    "baselines": ("lqr", "estimation", "servo", "iterative", "analysis"),
+    "baselines": ("lqr", "estimation", "planning", "servo", "iterative", "analysis"),
     "agents": (
         "policies", "evaluation", "training", "learning", "experiments", "reporting", "motions",
         "studies", "cli",
