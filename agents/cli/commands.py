@@ -39,6 +39,9 @@ COMMANDS = {
         "agents.cli.compare", "Compare", "Controllers side by side on the same earthquakes."
     ),
     "design": Command("agents.cli.design", "Design", "LQR of a specimen, and what to expect of it."),
+    "bound": Command(
+        "agents.cli.bound", "Bound", "Least cost of an earthquake over all currents, all known."
+    ),
     "watch": Command("agents.cli.watch", "Watch", "A controller at work, in a window or as a film."),
     "motion": Command(
         "agents.cli.motion", "Motion", "A recorded motion, and the scale that the table needs."
