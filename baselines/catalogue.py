@@ -25,6 +25,9 @@ from baselines.lqr.mpc import MPCSettings, PredictiveControl
 from baselines.lqr.multi_model import drawn_models, multi_model_lqr
 from baselines.lqr.preview import PreviewFeedback, with_preview
 from baselines.lqr.sampled import LinearFeedback, lqr
+from baselines.planning.adaptive import AdaptivePredictiveControl
+from baselines.planning.nmpc import NMPCSettings, NonlinearPredictiveControl
+from baselines.planning.planned import PlannedControl, plan_records
 from baselines.servo.disturbance_observer import DisturbanceObserver, ObserverDesign
 from baselines.servo.inverse_model import InverseDesign, InverseFeedForward
 from baselines.servo.mcs import MCS, MCSDesign
@@ -70,11 +73,12 @@ class Baseline:
     summary: str
     tunable: Mapping[str, Tunable] = field(default_factory=dict)
     tests: int = 1  # of each earthquake that using it takes, the one that counts included
+    knows_motion: bool = False  # whether the whole motion is known before the test
 
     @property
-    def repeats_tests(self) -> bool:
-        """Whether `make` also takes the earthquakes, and repeats their tests beforehand."""
-        return self.tests > 1
+    def takes_earthquakes(self) -> bool:
+        """Whether `make` also takes the earthquakes: to repeat their tests, or to plan for them."""
+        return self.tests > 1 or self.knows_motion
 
 
 def _published(scenario: Scenario) -> Controller:
@@ -153,6 +157,24 @@ def _mpc(scenario: Scenario, *, position: float, doubt: float) -> Controller:
         return PredictiveControl(full, MPCSettings(position=_place(full, position)))
 
     return _seen(scenario, make, doubt, accommodate=True)
+
+
+def _nmpc(scenario: Scenario, *, position: float, doubt: float) -> Controller:
+    if not (scenario.nonlinearity.active or scenario.limits.sees_floors):
+        raise ScenarioError(
+            "nonlinearity", "none, no limits", "it is preview-lqr, or lqg on signals: ask for that"
+        )
+    settings = NMPCSettings(position=_place(scenario, position), doubt=doubt)
+    return NonlinearPredictiveControl(scenario, settings)
+
+
+def _nmpc_adaptive(scenario: Scenario, *, position: float, doubt: float) -> Controller:
+    settings = NMPCSettings(position=_place(scenario, position), doubt=doubt)
+    return AdaptivePredictiveControl(scenario, settings)
+
+
+def _planned(scenario: Scenario, earthquakes: Sequence[Earthquake], *, doubt: float) -> Controller:
+    return PlannedControl(scenario, plan_records(scenario, earthquakes), doubt)
 
 
 def _multi_model(scenario: Scenario, *, position: float, doubt: float) -> Controller:
@@ -267,6 +289,28 @@ BASELINES: dict[str, Baseline] = {
         _mpc,
         "predictive control within current, velocity and stroke",
         {"position": _POSITION, "doubt": _DOUBT},
+    ),
+    "nmpc": Baseline(
+        _nmpc,
+        "nonlinear predictive control: extended Kalman filter, and a plan on the nonlinear model",
+        {
+            "position": Tunable(0.001, 1.0, 0.2, natural="high"),
+            "doubt": Tunable(0.003, 30.0, 0.1, natural="low"),
+        },
+    ),
+    "nmpc-adaptive": Baseline(
+        _nmpc_adaptive,
+        "nonlinear predictive control with the uncertain parameters estimated as states",
+        {
+            "position": Tunable(0.001, 1.0, 0.2, natural="high"),
+            "doubt": Tunable(0.003, 30.0, 0.1, natural="low"),
+        },
+    ),
+    "planned": Baseline(
+        _planned,
+        "the whole motion planned before the test, with feedback along the plan",
+        {"doubt": Tunable(0.003, 30.0, 0.1, natural="low")},
+        knows_motion=True,
     ),
     "multi-model": Baseline(
         _multi_model,

@@ -63,7 +63,7 @@ LIBRARIES = {
     "shake_env/numba_support": {"numba"},
     "shake_env/records": {"numpy", "obspy", "h5py", "openpyxl"},
     "shake_env": {"numpy", "scipy", "array_api_compat"},
-    "baselines/planning": {"numpy", "numba"},
+    "baselines/planning": {"numpy", "scipy", "numba"},
     "baselines": {"numpy", "scipy", "control", "osqp", "array_api_compat"},
     "agents/policies": {"numpy", "safetensors", "array_api_compat", "onnx", "onnxruntime", "scipy"},
 }

@@ -40,7 +40,10 @@ COMMANDS = {
     ),
     "design": Command("agents.cli.design", "Design", "LQR of a specimen, and what to expect of it."),
     "bound": Command(
-        "agents.cli.bound", "Bound", "Least cost of an earthquake over all currents, all known."
+        "agents.cli.planning.bound", "Bound", "Least cost of an earthquake over all currents, all known."
+    ),
+    "plan": Command(
+        "agents.cli.planning.plan", "Plan", "A record's optimal currents, planned before its test."
     ),
     "watch": Command("agents.cli.watch", "Watch", "A controller at work, in a window or as a film."),
     "motion": Command(

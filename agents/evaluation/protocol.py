@@ -360,6 +360,6 @@ def _latency(
     """Return the median time [s] of one decision; None for what is made for its own earthquakes."""
     if each.policies:
         return decision_time(each.policies[0], scenario)
-    if each.name == CLAIRVOYANT or (each.name in BASELINES and BASELINES[each.name].repeats_tests):
+    if each.name == CLAIRVOYANT or (each.name in BASELINES and BASELINES[each.name].takes_earthquakes):
         return None
     return decision_time(named_controller(each.name, scenario, None, parameters), scenario)

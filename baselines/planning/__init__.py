@@ -6,6 +6,9 @@ __getattr__, __all__ = names_of(
     __name__,
     {
         "bound": ("OptimalEpisode", "optimal_episodes"),
+        "ekf": ("ExtendedKalmanFilter",),
         "model": ("PlanningModel",),
+        "nmpc": ("NMPCSettings", "NonlinearPredictiveControl"),
+        "planned": ("PlannedControl", "RecordPlan", "plan_records"),
     },
 )

@@ -113,6 +113,8 @@ def optimal_episodes(
     earthquakes: Sequence[Earthquake],
     starts: Mapping[str, Sequence[FloatArray]] | None = None,
     *,
+    plant: Scenario | None = None,
+    signals: Callable[[Scenario, FloatArray], FloatArray] | None = None,
     iterations: int = ITERATIONS,
     on_step: Callable[[float], None] = lambda share: None,
 ) -> list[OptimalEpisode]:
@@ -124,6 +126,9 @@ def optimal_episodes(
         As for a roll-out; an uncertain plant is the one that the earthquake's seed draws.
     starts
         By name, currents (up to T) [A] of each earthquake to start from; None: what `starting_laws` do.
+    plant, signals
+        The table that is planned for and its reference shear, where they are not the episode's own; see
+        `episodes`.
     iterations
         At most, of each start.
     on_step
@@ -136,7 +141,7 @@ def optimal_episodes(
     ShakeError
         If numba is missing.
     """
-    problems = episodes(scenario, earthquakes)
+    problems = episodes(scenario, earthquakes, plant, signals)
     if starts is None:
         laws = starting_laws(scenario)
         starts = {name: driven(law, scenario, earthquakes)[0] for name, law in laws.items()}

@@ -8,11 +8,12 @@ linear table the two filters are one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from baselines.estimation.estimator_model import DISTURBANCES, ROUNDING, EstimatorModel, ModelError
 from baselines.planning.model import PlanningModel, compiled
@@ -68,6 +69,7 @@ class ExtendedKalmanFilter:
     Q: FloatArray  # (a, a) what a period adds to the covariance
     start: FloatArray  # (a, a) covariance at an episode's start
     keep: FloatArray  # (a - m) share of a low-pass's output or an offset that stays over a period
+    parameters: tuple[FloatArray, FloatArray, FloatArray]  # see filter_kernel.ParameterArrays
 
     @classmethod
     def of(cls, scenario: Scenario, error: ModelError | None = None) -> ExtendedKalmanFilter:
@@ -94,7 +96,30 @@ class ExtendedKalmanFilter:
         offsets = np.diag(linear.A)[shown + DISTURBANCES + low_passes :]
         keep = np.concatenate([1.0 - follow[filtered >= 0], offsets])
         assert (biased >= 0).sum() == len(offsets)
-        return cls(model, sensors, Q, start, keep)
+        return cls(model, sensors, Q, start, keep, (np.zeros(0), np.zeros(0), np.zeros(0)))
+
+    def with_parameters(
+        self, step: FloatArray, low: FloatArray, high: FloatArray, spread: FloatArray, walk: FloatArray
+    ) -> ExtendedKalmanFilter:
+        """Return the filter that estimates p parameters as well, the last entries of `rest`.
+
+        Parameters
+        ----------
+        step
+            (p,) between the models that slopes along the parameters are taken from.
+        low, high
+            (p,) ends between which an estimate is kept.
+        spread, walk
+            (p,) standard deviation at the start, and of what a period adds.
+        """
+        p = len(step)
+        return replace(
+            self,
+            Q=block_diag(self.Q, np.diag(walk**2)),
+            start=block_diag(self.start, np.diag(spread**2)),
+            keep=np.append(self.keep, np.ones(p)),
+            parameters=(step, low, high),
+        )
 
     def rest(self, lanes: int) -> TableEstimate:
         """Return the estimate of N tables at rest, before any reading."""
@@ -113,6 +138,7 @@ class ExtendedKalmanFilter:
         readings: FloatArray,
         fresh: NDArray[np.bool_],
         models: tuple[Any, ...] | None = None,
+        anchor: FloatArray | None = None,
     ) -> TableEstimate:
         """Return the estimate a period after `last`, the new readings included.
 
@@ -124,15 +150,17 @@ class ExtendedKalmanFilter:
             (N, s) over their scale, as an observation holds them.
         fresh
             (N,) True where the readings are those of an episode's start: the table is at rest.
-        models
-            Matrices of the N tables; None: the model's.
+        models, anchor
+            With p parameters as states: matrices of N (2 p + 1) tables, the model of each and those a
+            step up and down in each parameter, and the (N, p) parameters of the first; else None.
         """
         x, rest, P, innovation = (np.array(part) for part in last.arrays)
         compiled("filter_kernel").filter_tables(
             x, rest, P, np.ascontiguousarray(fresh, dtype=np.int64),
             np.ascontiguousarray(current, dtype=float), np.ascontiguousarray(readings, dtype=float),
-            self.model.arrays if models is None else models, self.model.scale, self.sensors, self.Q,
-            self.start, self.keep, innovation,
+            self.model.arrays if models is None else models,
+            np.zeros((len(x), 0)) if anchor is None else anchor,
+            self.parameters, self.model.scale, self.sensors, self.Q, self.start, self.keep, innovation,
         )  # fmt: skip
         return TableEstimate(x, rest, P, innovation)
 

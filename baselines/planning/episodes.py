@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from baselines.planning.model import PlanningModel
@@ -27,21 +27,36 @@ class Episode:
         return len(self.target)
 
 
-def episodes(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> list[Episode]:
-    """Return the episodes of some earthquakes; the table stands still while they are recorded."""
+def episodes(
+    scenario: Scenario,
+    earthquakes: Sequence[Earthquake],
+    plant: Scenario | None = None,
+    reference: Callable[[Scenario, FloatArray], FloatArray] | None = None,
+) -> list[Episode]:
+    """Return the episodes of some earthquakes; the table stands still while they are recorded.
+
+    Parameters
+    ----------
+    plant
+        Whose table is to follow; None: the plant that each earthquake's seed draws.
+    reference
+        Gives f~_s (T, k) [N] of that plant from the target (T, k); None: what the episode says.
+    """
     k = scenario.substeps
     recorded = rollout(NoControl(), scenario, earthquakes, record=range(len(earthquakes)))[1]
     models: dict[int, PlanningModel] = {}
     found = []
-    for i, (quake, plant) in enumerate(
-        zip(earthquakes, true_plants(scenario, earthquakes), strict=True)
-    ):
+    plants = true_plants(scenario, earthquakes) if plant is None else [plant] * len(earthquakes)
+    for i, (quake, own) in enumerate(zip(earthquakes, plants, strict=True)):
         # Without uncertainty every earthquake has the scenario itself for its plant.
-        model = models.get(id(plant)) or PlanningModel.of(plant)
-        models[id(plant)] = model
+        model = models.get(id(own)) or PlanningModel.of(own)
+        models[id(own)] = model
         signals = recorded[i]
         target = signals.target_acceleration.reshape(-1, k)
-        found.append(Episode(quake, model, target, signals.reference_base_shear.reshape(-1, k)))
+        shear = signals.reference_base_shear.reshape(-1, k)
+        if reference is not None:
+            shear = reference(own, target)
+        found.append(Episode(quake, model, target, shear))
     return found
 
 

@@ -19,6 +19,7 @@ from baselines.planning.period_kernel import (
     period,
     period_jacobian,
     stamp,
+    table_model,
 )
 from shake_env.kernels.lanes import COLUMNS, YIELD_DRIFT, IntArray, jit, nonlinear, slip_rates
 from shake_env.model.parameters import FloatArray
@@ -27,6 +28,8 @@ from shake_env.model.parameters import FloatArray
 # way that a low-pass goes in a period; filtered (s) and biased (s), where an output of a low-pass or an
 # offset lies behind the state, -1 for none; variance (s)
 SensorArrays: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, IntArray, IntArray, FloatArray]
+# Of p parameters: step (p) between the models that slopes are taken from, low (p) and high (p)
+ParameterArrays: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 
 
 @jit
@@ -74,7 +77,10 @@ def predict(
     rest: FloatArray,
     P: FloatArray,
     u: float,
-    model: ModelArrays,
+    models: ModelArrays,
+    first: int,
+    anchor: FloatArray,
+    parameters: ParameterArrays,
     scale: FloatArray,
     sensors: SensorArrays,
     Q: FloatArray,
@@ -82,19 +88,24 @@ def predict(
 ) -> None:
     """Carry the estimate a period on, in place.
 
+    The table's model is `models[first]`; the next 2 p are it with each parameter a step up and down.
+
     Parameters
     ----------
     x
         (n) SI: the m estimated states, then the commands under way, which are known.
     rest
-        (a - m) outputs of low-passes, then offsets, over the readings' scale.
+        (a - m) outputs of low-passes and offsets, over the readings' scale, then p parameters.
     P
         (a, a) covariance of ``[x / scale, rest]``.
     u
         Command of the period [A].
+    anchor
+        (p) parameters of the table's model.
     Q, keep
         (a, a) what a period adds to P; (a - m) share of each of `rest` that stays (a low-pass's: of it).
     """
+    model, p = table_model(models, first), len(anchor)
     n, size = len(scale), len(P)
     order, substeps = model[0].shape[0], model[6].shape[0]
     rows, outputs, follow, filtered = sensors[0], sensors[1], sensors[2], sensors[3]
@@ -108,6 +119,24 @@ def predict(
     for i in range(order):
         for c in range(order):
             F[i, c] = A[i, c]
+    along, along_y = np.zeros((p, n)), np.zeros((p, 2 * substeps))
+    for j in range(p):
+        for sign in (1.0, -1.0):
+            other = table_model(models, first + 2 * j + (1 if sign > 0.0 else 2))
+            moved_j, response_j = np.zeros(n), np.zeros(2 * substeps)
+            period(x, u, other, tape, moved_j, response_j)
+            weight = sign / (2.0 * parameters[0][j])
+            for i in range(order):
+                along[j, i] += weight * moved_j[i]
+            for i in range(2 * substeps):
+                along_y[j, i] += weight * response_j[i]
+    for j in range(p):
+        away = rest[size - order - p + j] - anchor[j]
+        for i in range(order):
+            F[i, size - p + j] = along[j, i] / scale[i]
+            moved[i] += away * along[j, i]
+        for i in range(2 * substeps):
+            response[i] += away * along_y[j, i]
     for i in range(order, size):
         F[i, i] = keep[i - order]
         rest[i - order] *= keep[i - order]
@@ -125,6 +154,11 @@ def predict(
                 signal += outputs[r, o] * response[last]
                 for c in range(order):
                     F[at, c] += follow[r] * outputs[r, o] * C[last, c]
+                for j in range(p):
+                    F[at, size - p + j] += follow[r] * outputs[r, o] * along_y[j, last]
+            for j in range(p):
+                for i in range(order):
+                    F[at, size - p + j] += follow[r] * rows[r, i] * along[j, i] / scale[i]
             rest[at - order] += follow[r] * signal
     for i in range(n):
         x[i] = moved[i]
@@ -150,7 +184,10 @@ def correct(
     rest: FloatArray,
     P: FloatArray,
     readings: FloatArray,
-    model: ModelArrays,
+    models: ModelArrays,
+    first: int,
+    anchor: FloatArray,
+    parameters: ParameterArrays,
     scale: FloatArray,
     sensors: SensorArrays,
     innovation: FloatArray,
@@ -161,9 +198,20 @@ def correct(
     before it, so that they are independent and of unit size where the model is right.
     """
     filtered, biased, variance = sensors[3], sensors[4], sensors[5]
+    model, p = table_model(models, first), len(anchor)
     order, size, s = model[0].shape[0], len(P), len(readings)
     value, slope = np.zeros(s), np.zeros((s, order))
     _signals(x, model, scale, sensors, value, slope)
+    along, value_j, slope_j = np.zeros((p, s)), np.zeros(s), np.zeros((s, order))
+    for j in range(p):
+        for sign in (1.0, -1.0):
+            other = table_model(models, first + 2 * j + (1 if sign > 0.0 else 2))
+            _signals(x, other, scale, sensors, value_j, slope_j)
+            for r in range(s):
+                along[j, r] += sign * value_j[r] / (2.0 * parameters[0][j])
+    for j in range(p):
+        for r in range(s):
+            value[r] += along[j, r] * (rest[size - order - p + j] - anchor[j])
     dz, row, PH = np.zeros(size), np.zeros(size), np.zeros(size)
     for r in range(s):
         for i in range(size):
@@ -175,6 +223,8 @@ def correct(
         else:
             for i in range(order):
                 row[i] = slope[r, i]
+            for j in range(p):
+                row[size - p + j] = along[j, r]
         if biased[r] >= 0:
             row[biased[r]] = 1.0
             expected += rest[biased[r] - order]
@@ -203,6 +253,9 @@ def correct(
         x[i] += dz[i] * scale[i]
     for i in range(order, size):
         rest[i - order] += dz[i]
+    for j in range(p):
+        at = size - order - p + j
+        rest[at] = min(max(rest[at], parameters[1][j]), parameters[2][j])
 
 
 @jit
@@ -258,6 +311,8 @@ def _cached_filter(number: int) -> Any:
         u: FloatArray,
         readings: FloatArray,
         models: ModelArrays,
+        anchor: FloatArray,
+        parameters: ParameterArrays,
         scale: FloatArray,
         sensors: SensorArrays,
         Q: FloatArray,
@@ -265,17 +320,24 @@ def _cached_filter(number: int) -> Any:
         keep: FloatArray,
         innovation: FloatArray,
     ) -> int:
-        advance, slope, C, D, rate, coulomb, arrival, v, s = models
+        p = anchor.shape[1]
         for n in range(len(x)):
-            m = n if len(advance) > 1 else 0
-            model = (advance[m], slope[m], C[m], D[m], rate[m], coulomb[m], arrival[m], v, s)
+            first = n * (2 * p + 1) if len(models[0]) > 1 else 0
+            own = anchor[n]
             if fresh[n]:
                 x[n] = 0.0
                 rest[n] = 0.0
+                for j in range(p):
+                    rest[n, rest.shape[1] - p + j] = own[j]
                 P[n] = start
             else:
-                predict(x[n], rest[n], P[n], u[n], model, scale, sensors, Q, keep)
-            correct(x[n], rest[n], P[n], readings[n], model, scale, sensors, innovation[n])
+                predict(
+                    x[n], rest[n], P[n], u[n], models, first, own, parameters, scale, sensors, Q, keep
+                )
+            correct(
+                x[n], rest[n], P[n], readings[n], models, first, own, parameters, scale, sensors,
+                innovation[n],
+            )  # fmt: skip
         return number
 
     return filter_tables

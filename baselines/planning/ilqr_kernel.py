@@ -19,6 +19,7 @@ from baselines.planning.period_kernel import (
     period,
     period_jacobian,
     stamp,
+    table_model,
 )
 from shake_env.kernels.lanes import COLUMNS, IntArray, jit
 from shake_env.model.parameters import FloatArray
@@ -361,12 +362,10 @@ def _cached(number: int) -> Any:
     ) -> int:
         target, shear, place, p = signals
         weights, rows, group, bounds, P = common
-        advance, slope, C, D, rate, coulomb, arrival, v, s = models
         for n in range(len(U)):
-            m = n if len(advance) > 1 else 0
-            model = (advance[m], slope[m], C[m], D[m], rate[m], coulomb[m], arrival[m], v, s)
-            tail = P[n if len(P) > 1 else 0]
-            plan = (target[n], shear[n], place[n], weights, rows, group, bounds, tail, p[n])
+            model = table_model(models, n if len(models[0]) > 1 else 0)
+            tail, own = P[n if len(P) > 1 else 0], weights[n if len(weights) > 1 else 0]
+            plan = (target[n], shear[n], place[n], own, rows, group, bounds, tail, p[n])
             cost, worst, done = improve(
                 X[n], Y[n], U[n], gain[n], model, scale, plan, alphas, iterations, tolerance
             )
@@ -395,8 +394,7 @@ def _cached_jacobian(number: int) -> Any:
         C_x: FloatArray,
         D_u: FloatArray,
     ) -> int:
-        advance, slope, C, D, rate, coulomb, arrival, v, s = models
-        model = (advance[0], slope[0], C[0], D[0], rate[0], coulomb[0], arrival[0], v, s)
+        model = table_model(models, 0)
         tape = make_tape(model)
         period(x, u, model, tape, moved, response)
         period_jacobian(model, tape, scale, A, B, C_x, D_u)

@@ -151,6 +151,7 @@ class PlanningModel:
         *,
         place: FloatArray | None = None,
         place_weight: float = 0.0,
+        weights: FloatArray | None = None,
         tail: tuple[FloatArray, FloatArray] | None = None,
         models: tuple[Any, ...] | None = None,
         step_lengths: Sequence[float] = STEP_LENGTHS,
@@ -169,6 +170,8 @@ class PlanningModel:
             (N, H, k) y~ [m/s^2] and f~_s [N] after each physics step.
         place, place_weight
             (N, H) where the table should be at each period's end [m], and what a squared metre costs.
+        weights
+            (N, 3) weights of acceleration, force and current in SI; None: the scenario's stage cost.
         tail
             (1 or N, n, n) and (N, n): ``z'P z / 2 + p'z`` of the scaled state at the end; None: nothing.
         models
@@ -179,7 +182,9 @@ class PlanningModel:
         """
         N, H = current.shape
         n, k, cost = self.states, self.substeps, self.scenario.stage_cost
-        weights = np.array([cost.acceleration, cost.force, cost.current, place_weight])
+        if weights is None:
+            weights = np.array([[cost.acceleration, cost.force, cost.current]])
+        weights = np.hstack([weights, np.full((len(weights), 1), place_weight)])
         P, p = (np.zeros((1, n, n)), np.zeros((N, n))) if tail is None else tail
         place = np.zeros((N, H)) if place is None else place
         signals = tuple(np.ascontiguousarray(a, dtype=float) for a in (target, shear, place, p))

@@ -9,7 +9,7 @@ those of the scenario. On a linear table without limits the law is preview LQR.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from baselines.estimation.ground_estimate import ReferenceRecursion
 from baselines.planning.ekf import ExtendedKalmanFilter, TableEstimate, model_error
 from baselines.planning.forecast import HorizonForecast
 from baselines.planning.model import PlanningModel, compiled
+from shake_env.dynamics.nonlinear import apply
 from shake_env.dynamics.yielding_reference import YieldingReference
 from shake_env.errors import ParameterError
 from shake_env.model.parameters import FloatArray, require_positive
@@ -49,6 +50,25 @@ class NMPCSettings:
 
 
 @dataclass(frozen=True)
+class Design:
+    """What a decision is made with: common to the tables, or with an axis (N) ahead."""
+
+    signals: FloatArray  # (2 H k, e + p) see `HorizonForecast`
+    place: FloatArray  # (H, e + p)
+    linear_cost: FloatArray  # (n, e + p) of the scaled state at the horizon's end
+    curvature: FloatArray  # (n, n)
+    follow: FloatArray  # (2 stories, 2 stories) S, W_before and W_now of `ReferenceRecursion`
+    before: FloatArray  # (2 stories, w)
+    now: FloatArray  # (2 stories, w)
+    weights: FloatArray  # (3) of acceleration, force and current, SI
+
+    @property
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """The design as plain arrays, in the order of its fields."""
+        return tuple(getattr(self, field.name) for field in fields(self))
+
+
+@dataclass(frozen=True)
 class PlanMemory:
     """What the controller knows of its N tables from one period to the next."""
 
@@ -58,6 +78,7 @@ class PlanMemory:
     ground: FloatArray  # (N, w) x_W as last shown, over its scale
     reference: FloatArray  # (N, 2 stories) x~_S over its scale; with yielding storeys (N, 3 stories) SI
     target: FloatArray  # (N, k + 1) y~ now, and as expected over the coming period [m/s^2]
+    tables: Any = None  # what an adaptive law knows of each table's parameters
 
 
 class NonlinearPredictiveControl:
@@ -95,8 +116,17 @@ class NonlinearPredictiveControl:
             self.filter = ExtendedKalmanFilter.of(scenario, model_error(scenario, chosen.doubt))
             self.model = self.filter.model
         self.forecast = HorizonForecast.of(scenario, self.model, H, chosen.position)
-        self._linear_cost = self.forecast.on_end @ self.forecast.end + self.forecast.beyond
-        self._recursion = ReferenceRecursion.of(scenario)
+        recursion, cost = ReferenceRecursion.of(scenario), scenario.stage_cost
+        self._common = Design(
+            signals=self.forecast.signals,
+            place=self.forecast.place,
+            linear_cost=self.forecast.on_end @ self.forecast.end + self.forecast.beyond,
+            curvature=self.forecast.curvature,
+            follow=recursion.S,
+            before=recursion.W_before,
+            now=recursion.W_now,
+            weights=np.array([cost.acceleration, cost.force, cost.current]),
+        )
         self._yielding = None
         if scenario.nonlinearity.yielding.active:
             maps = YieldingReference.of(
@@ -150,13 +180,14 @@ class NonlinearPredictiveControl:
             given = shown[:, observed.last_action.start] * self._scenario.current_limit
         given = np.where(fresh, 0.0, given)
         readings = shown[:, layout.controlled if sensing.full_state else observed.readings]
-        estimate = self._estimate(last.estimate, given, readings, fresh)
+        estimate, tables = self._estimate(last, given, readings, fresh)
+        design = self._design(tables)
         ground, preview = shown[:, layout.ground], shown[:, observed.preview]
-        reference, linear = self._reference(shown, last, ground, fresh)
+        reference, linear = self._reference(shown, last, ground, fresh, design)
         z = np.concatenate([ground, linear, preview], axis=1)
-        signals = z @ self.forecast.signals.T
+        signals = apply(design.signals, z)
         target = signals[:, : H * k]
-        shear, p = signals[:, H * k :], z @ self._linear_cost.T
+        shear, p = signals[:, H * k :], apply(design.linear_cost, z)
         now = np.where(fresh, 0.0, last.target[:, -1])
         coming = np.concatenate([now[:, None], target[:, :k]], axis=1)
         if self._yielding is not None:
@@ -166,28 +197,45 @@ class NonlinearPredictiveControl:
         position = self.settings.position
         plan = self.model.improve(
             start, estimate.state, target.reshape(lanes, H, k), shear.reshape(lanes, H, k),
-            place=z @ self.forecast.place.T,
+            place=apply(design.place, z),
             place_weight=0.0 if position is None else 1.0 / position**2,
-            tail=(self.forecast.curvature[None], p),
+            weights=np.atleast_2d(design.weights),
+            tail=(np.reshape(design.curvature, (-1, *design.curvature.shape[-2:])), p),
+            models=self._plan_models(tables),
             step_lengths=STEP_LENGTHS,
             iterations=self.settings.iterations,
         )  # fmt: skip
-        return PlanMemory(estimate, plan.current[:, 0], plan.current, ground, reference, coming)
+        return PlanMemory(estimate, plan.current[:, 0], plan.current, ground, reference, coming, tables)
+
+    def _design(self, tables: Any) -> Design:
+        """Return what the decisions of the tables are made with."""
+        return self._common
+
+    def _plan_models(self, tables: Any) -> tuple[Any, ...] | None:
+        """Return the models that the tables are planned on; None: the nominal one."""
+        return None
 
     def _estimate(
-        self, last: TableEstimate, given: FloatArray, readings: FloatArray, fresh: NDArray[np.bool_]
-    ) -> TableEstimate:
+        self, memory: PlanMemory, given: FloatArray, readings: FloatArray, fresh: NDArray[np.bool_]
+    ) -> tuple[TableEstimate, Any]:
+        """Return the estimate, this observation included, and what is known of each table."""
+        last = memory.estimate
         if self.filter is not None:
-            return self.filter.advance(last, given, readings, fresh)
+            return self.filter.advance(last, given, readings, fresh), None
         order, state = self.model.order, np.zeros_like(last.state)
         state[:, :order] = readings * self.model.scale[:order]
         if self.model.states > order:
             state[:, order:-1] = np.where(fresh[:, None], 0.0, last.state[:, order + 1 :])
             state[:, -1] = given
-        return replace(last, state=state)
+        return replace(last, state=state), None
 
     def _reference(
-        self, shown: FloatArray, last: PlanMemory, ground: FloatArray, fresh: NDArray[np.bool_]
+        self,
+        shown: FloatArray,
+        last: PlanMemory,
+        ground: FloatArray,
+        fresh: NDArray[np.bool_],
+        design: Design,
     ) -> tuple[FloatArray, FloatArray]:
         """Return what is remembered of the reference, and x~_S (N, 2 stories) over its scale."""
         n, sensing = self._scenario.specimen.stories, self._scenario.sensing
@@ -195,7 +243,8 @@ class NonlinearPredictiveControl:
         seen = shown[:, self._layout.reference] if sensing.full_state else None
         if self._yielding is None:
             if seen is None:
-                moved = self._recursion.advance(last.reference, last.ground, ground)
+                moved = apply(design.follow, last.reference) + apply(design.before, last.ground)
+                moved = moved + apply(design.now, ground)
                 seen = np.where(fresh[:, None], 0.0, moved)
             return seen, seen
         state = last.reference.copy()

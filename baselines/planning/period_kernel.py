@@ -41,6 +41,16 @@ def stamp(*modules: str) -> int:
 
 
 @jit
+def table_model(models: ModelArrays, table: int) -> ModelArrays:
+    """Return the model of one of N tables."""
+    advance, slope, C, D, rate, coulomb, arrival, v, s = models
+    return (
+        advance[table], slope[table], C[table], D[table], rate[table], coulomb[table], arrival[table],
+        v, s,
+    )  # fmt: skip
+
+
+@jit
 def make_tape(model: ModelArrays) -> Tape:
     """Return room for one period of a table."""
     advance, arrival, s = model[0], model[6], model[8]

@@ -108,4 +108,4 @@ def test_every_kind_of_sensor_is_predicted():
             )
         at = [0, 2, 3, 4, 5, 6, 7]  # the place itself has no sensor
         scale = nonlinear.model.scale
-        assert np.abs((found.state[0] - states[-1])[at] / scale[at]).max() < 0.02
+        assert np.abs((found.state[0, at] - states[-1, at]) / scale[at]).max() < 0.02
