@@ -129,7 +129,7 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
         return [np.concatenate([each.arrays[i] for each in made]) for i in range(7)]
 
     def _design_of(self, logarithms: FloatArray) -> Design:
-        """Return the design for these parameters, on the nominal plant's observation and scaled state."""
+        """Return the design for these parameters, in units of the nominal observation and state."""
         plant = self.parameters.plant(logarithms)
         own = PlanningModel.of(plant, self._error)
         ahead = HorizonForecast.of(plant, own, self.horizon, self.settings.position)

@@ -65,7 +65,7 @@ class Plan(FolderOptions):
                 float(np.sqrt(np.mean(part**2) / np.mean(whole**2)))
                 for part, whole in ((missed[:, :k], plan.target), (missed[:, k:], plan.shear))
             ]
-            described = {
+            described: dict[str, Any] = {
                 "name": plan.name,
                 "cost": plan.cost,
                 "acceleration_rms_error": errors[0],
