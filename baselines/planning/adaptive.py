@@ -1,10 +1,12 @@
 """Nonlinear predictive control that estimates parameters of table and specimen as states.
 
 What the scenario draws at each reset (its `uncertainty`: specimen mass and frequency, bulk modulus,
-friction, ...) is estimated by the extended Kalman filter as logarithms, each a slow random walk. Slopes
-along a parameter come from models a step up and down. Where an estimate has moved, the table's models
-are made anew at it, and where it has moved further, the plan's design too: target, reference specimen,
-weights and the cost behind the horizon (certainty equivalence). The loop delay is not estimated.
+friction, ...) is estimated by the extended Kalman filter, each parameter over its nominal value a slow
+random walk. Forces and flows are close to linear in them, so that the first readings lead near the
+truth. Slopes along a parameter come from models a step up and down. Where an estimate has moved, the
+table's models are made anew at it, and where it has moved further, the plan's design too: target,
+reference specimen, weights and the cost behind the horizon (certainty equivalence). The loop delay is
+not estimated.
 """
 
 from __future__ import annotations
@@ -27,23 +29,23 @@ from shake_env.model.parameters import FloatArray
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty
 
-STEP = 0.01  # [-] of a parameter, between the models that its slopes are taken from
+# Parameters are over their nominal values.
+STEP = 0.01  # [-] between the models that slopes along a parameter are taken from
 WALK = 2e-4  # [-] that a parameter is taken to change by in a period
-RENEW_MODEL = 0.01  # [-] by which an estimate moves before the table's models are made anew
-RENEW_DESIGN = 0.03  # [-] before the plan's design is
-LEAST = (
-    1e-2  # [-] of the highest value: the lowest that a parameter whose range begins at 0 is taken for
-)
+RENEW_MODEL = 0.008  # [-] by which an estimate moves before the models of the table are made anew
+RENEW_DESIGN = 0.004  # [-] before the design is: a lightly damped reference asks for its frequency
+HISTORY = 2000  # periods of x_W from which the reference specimen is found anew for other parameters
+LEAST = 2e-2  # [-] of the highest value, the least that a parameter whose range begins at 0 is taken for
 
 
 @dataclass(frozen=True)
 class UncertainParameters:
-    """What a scenario draws, as logarithms."""
+    """What a scenario draws, over nominal values."""
 
     scenario: Scenario
     names: tuple[str, ...]
-    nominal: FloatArray  # (p,)
-    low: FloatArray  # (p,)
+    unit: FloatArray  # (p,) nominal values, SI
+    low: FloatArray  # (p,) over the unit
     high: FloatArray  # (p,)
 
     @classmethod
@@ -63,15 +65,22 @@ class UncertainParameters:
         if not drawn:
             raise ScenarioError("uncertainty", "none", "no parameter is drawn: ask for nmpc")
         own = _nominal_values(scenario)
-        low = np.log([max(each.low, LEAST * each.high) for each in drawn.values()])
-        high = np.log([each.high for each in drawn.values()])
-        middle = np.array([np.log(own[name]) if own.get(name, 0.0) > 0.0 else np.nan for name in drawn])
-        nominal = np.clip(np.where(np.isnan(middle), 0.5 * (low + high), middle), low, high)
-        return cls(replace(scenario, uncertainty=Uncertainty()), tuple(drawn), nominal, low, high)
+        low = np.array([max(each.low, LEAST * each.high) for each in drawn.values()])
+        high = np.array([each.high for each in drawn.values()])
+        # Where the nominal value lies outside of the range, such as no friction: the range's middle.
+        values = np.array([own.get(name, 0.0) for name in drawn])
+        unit = np.where((values >= low) & (values <= high), values, 0.5 * (low + high))
+        plain = replace(scenario, uncertainty=Uncertainty())
+        return cls(plain, tuple(drawn), unit, low / unit, high / unit)
 
-    def plant(self, logarithms: FloatArray) -> Scenario:
+    @property
+    def nominal(self) -> FloatArray:
+        """The parameters (p,) of the nominal plant."""
+        return np.ones(len(self.names))
+
+    def plant(self, parameters: FloatArray) -> Scenario:
         """Return the scenario with the plant of some parameters (p,)."""
-        values = dict(zip(self.names, np.exp(logarithms).tolist(), strict=True))
+        values = dict(zip(self.names, (parameters * self.unit).tolist(), strict=True))
         return self.scenario.with_plant(values)
 
     @cached_property
@@ -120,17 +129,17 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
         self._to_own = scenario.plant.state_scale / middle.plant.state_scale
         self._first = self._models(known.nominal), self._design_of(known.nominal)
 
-    def _models(self, logarithms: FloatArray) -> list[FloatArray]:
+    def _models(self, parameters: FloatArray) -> list[FloatArray]:
         """Return the matrices (2 p + 1, ...) of a table with these parameters and of its neighbours."""
-        steps = np.vstack([np.zeros(len(logarithms)), np.zeros((2 * len(logarithms), len(logarithms)))])
-        for j in range(len(logarithms)):
+        steps = np.vstack([np.zeros(len(parameters)), np.zeros((2 * len(parameters), len(parameters)))])
+        for j in range(len(parameters)):
             steps[1 + 2 * j, j], steps[2 + 2 * j, j] = STEP, -STEP
-        made = [PlanningModel.of(self.parameters.plant(logarithms + s), self._error) for s in steps]
+        made = [PlanningModel.of(self.parameters.plant(parameters + s), self._error) for s in steps]
         return [np.concatenate([each.arrays[i] for each in made]) for i in range(7)]
 
-    def _design_of(self, logarithms: FloatArray) -> Design:
+    def _design_of(self, parameters: FloatArray) -> Design:
         """Return the design for these parameters, in units of the nominal observation and state."""
-        plant = self.parameters.plant(logarithms)
+        plant = self.parameters.plant(parameters)
         own = PlanningModel.of(plant, self._error)
         ahead = HorizonForecast.of(plant, own, self.horizon, self.settings.position)
         recursion = ReferenceRecursion.of(plant)
@@ -159,7 +168,9 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
         stack = [np.concatenate([matrix] * lanes) for matrix in models]
         designs = Design(*(np.repeat(part[None], lanes, axis=0) for part in design.arrays))
         at = np.repeat(self.parameters.nominal[None], lanes, axis=0)
-        fresh = Tables(at, at.copy(), stack, designs)
+        history = np.zeros((lanes, 0, self._layout.filter_states))
+        none = np.zeros(lanes, dtype=int)
+        fresh = Tables(at, at.copy(), stack, designs, history, none, none.astype(bool))
         return replace(super()._rest(lanes), tables=fresh)
 
     def _estimate(
@@ -189,14 +200,14 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
             for whole, own in zip(arrays, design.arrays, strict=True):
                 whole[n] = own
             anchor[n] = designed[n] = self.parameters.nominal
-        return Tables(anchor, designed, stack, Design(*arrays))
+        return replace(tables, anchor=anchor, designed=designed, models=stack, design=Design(*arrays))
 
     def _renewed(self, tables: Tables, estimate: FloatArray) -> Tables:
         """Return the tables with models and designs at estimates (N, p) that have moved."""
         moved = np.abs(estimate - tables.anchor).max(axis=1) > RENEW_MODEL
         far = np.abs(estimate - tables.designed).max(axis=1) > RENEW_DESIGN
         if not (moved.any() or far.any()):
-            return tables
+            return replace(tables, renewed=far)
         v = estimate.shape[1] * 2 + 1
         stack, anchor = [m.copy() for m in tables.models], tables.anchor.copy()
         for n in np.flatnonzero(moved):
@@ -210,7 +221,32 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
             for whole, own in zip(arrays, self._design_of(estimate[n]).arrays, strict=True):
                 whole[n] = own
             designed[n] = estimate[n]
-        return Tables(anchor, designed, stack, Design(*arrays))
+        return replace(
+            tables, anchor=anchor, designed=designed, models=stack, design=Design(*arrays), renewed=far
+        )
+
+    def _noted(self, tables: Tables, ground: FloatArray, fresh: NDArray[np.bool_]) -> Tables:
+        history = np.concatenate([tables.history[:, -HISTORY + 1 :], ground[:, None]], axis=1)
+        age = np.where(fresh, 1, np.minimum(tables.age + 1, history.shape[1]))
+        return replace(tables, history=history, age=age)
+
+    def _reference(
+        self,
+        shown: FloatArray,
+        last: PlanMemory,
+        ground: FloatArray,
+        fresh: NDArray[np.bool_],
+        tables: Tables,
+    ) -> tuple[FloatArray, FloatArray]:
+        """As it is followed; where the parameters are others now, anew from the start for these.
+
+        What another specimen would still be vibrating with decays over seconds.
+        """
+        seen = super()._reference(shown, last, ground, fresh, tables)[0].copy()
+        if not self._scenario.sensing.full_state:
+            for n in np.flatnonzero(tables.renewed & ~fresh):
+                seen[n] = _followed(tables, n)
+        return seen, seen
 
     def _design(self, memory: Any) -> Design:
         tables: Tables = memory
@@ -231,3 +267,16 @@ class Tables:
     designed: FloatArray  # (N, p) of the designs
     models: list[FloatArray]  # each (N (2 p + 1), ...), see `ExtendedKalmanFilter.advance`
     design: Design  # each (N, ...)
+    history: FloatArray  # (N, up to HISTORY, w) x_W of the last periods, over its scale
+    age: NDArray[np.intp]  # (N,) how many of them are of the present episode
+    renewed: NDArray[np.bool_]  # (N,) whether the design was made anew at this instant
+
+
+def _followed(tables: Tables, n: int) -> FloatArray:
+    """Return x~_S (2 stories) of table n, over its scale, from rest through the history."""
+    design, seen = tables.design, tables.history[n, tables.history.shape[1] - tables.age[n] :]
+    pushed = seen[:-1] @ design.before[n].T + seen[1:] @ design.now[n].T
+    state: FloatArray = np.zeros(len(design.follow[n]))
+    for push in pushed:
+        state = design.follow[n] @ state + push
+    return state

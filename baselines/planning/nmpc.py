@@ -181,9 +181,10 @@ class NonlinearPredictiveControl:
         given = np.where(fresh, 0.0, given)
         readings = shown[:, layout.controlled if sensing.full_state else observed.readings]
         estimate, tables = self._estimate(last, given, readings, fresh)
+        tables = self._noted(tables, shown[:, layout.ground], fresh)
         design = self._design(tables)
         ground, preview = shown[:, layout.ground], shown[:, observed.preview]
-        reference, linear = self._reference(shown, last, ground, fresh, design)
+        reference, linear = self._reference(shown, last, ground, fresh, tables)
         z = np.concatenate([ground, linear, preview], axis=1)
         signals = apply(design.signals, z)
         target = signals[:, : H * k]
@@ -211,6 +212,10 @@ class NonlinearPredictiveControl:
         """Return what the decisions of the tables are made with."""
         return self._common
 
+    def _noted(self, tables: Any, ground: FloatArray, fresh: NDArray[np.bool_]) -> Any:
+        """Return what is known of each table, with the filter state x_W (N, w) of now noted."""
+        return tables
+
     def _plan_models(self, tables: Any) -> tuple[Any, ...] | None:
         """Return the models that the tables are planned on; None: the nominal one."""
         return None
@@ -235,7 +240,7 @@ class NonlinearPredictiveControl:
         last: PlanMemory,
         ground: FloatArray,
         fresh: NDArray[np.bool_],
-        design: Design,
+        tables: Any,
     ) -> tuple[FloatArray, FloatArray]:
         """Return what is remembered of the reference, and x~_S (N, 2 stories) over its scale."""
         n, sensing = self._scenario.specimen.stories, self._scenario.sensing
@@ -243,6 +248,7 @@ class NonlinearPredictiveControl:
         seen = shown[:, self._layout.reference] if sensing.full_state else None
         if self._yielding is None:
             if seen is None:
+                design = self._design(tables)
                 moved = apply(design.follow, last.reference) + apply(design.before, last.ground)
                 moved = moved + apply(design.now, ground)
                 seen = np.where(fresh[:, None], 0.0, moved)

@@ -35,7 +35,7 @@ class Plan(FolderOptions):
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(
         default_factory=lambda: ScenarioOptions("laboratory")
     )
-    motion_options: Annotated[MotionOptions, tyro.conf.arg(name="motion")] = field(
+    motion_options: Annotated[MotionOptions, tyro.conf.arg(name="")] = field(
         default_factory=MotionOptions
     )
 
