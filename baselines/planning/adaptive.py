@@ -109,11 +109,11 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
     """
 
     def __init__(self, scenario: Scenario, settings: NMPCSettings | None = None) -> None:
+        self.parameters = known = UncertainParameters.of(scenario)
         if scenario.nonlinearity.yielding.active:
             raise ScenarioError(
                 "nonlinearity.yielding", "on", "a specimen that yields is not identified"
             )
-        self.parameters = known = UncertainParameters.of(scenario)
         # The scenario's own observation and current, and the parameters' nominal plant.
         middle = replace(known.plant(known.nominal), sensing=scenario.sensing)
         super().__init__(middle, settings)
@@ -245,7 +245,7 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
         seen = super()._reference(shown, last, ground, fresh, tables)[0].copy()
         if not self._scenario.sensing.full_state:
             for n in np.flatnonzero(tables.renewed & ~fresh):
-                seen[n] = _followed(tables, n)
+                seen[n] = _followed(tables, int(n))
         return seen, seen
 
     def _design(self, memory: Any) -> Design:

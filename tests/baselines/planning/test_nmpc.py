@@ -48,13 +48,13 @@ def test_on_a_linear_table_it_is_preview_lqr(spacing, position, horizon):
 
 
 def test_the_delay_is_planned_for():
-    """With a delay of a period the plan on a linear table is LQG's: the same law, shifted in time."""
+    """With a delay of a period it is LQG on a linear table, but predicts the disturbances."""
     scenario = make_scenario("laboratory", {"duration": 5.0, "delay": 5.0})
     scenario = replace(scenario, nonlinearity=make_scenario("linear").nonlinearity)
     quakes = noise_earthquakes(scenario, 2, 4_000_000)
     ours = driven(NonlinearPredictiveControl(scenario), scenario, quakes)[1]
     theirs = driven(make_baseline("lqg", scenario, {"position": 0.2, "doubt": 0.1}), scenario, quakes)[1]
-    assert np.mean(ours) == pytest.approx(np.mean(theirs), rel=0.02)
+    assert 0.95 * np.mean(theirs) < np.mean(ours) < np.mean(theirs)
 
 
 def test_in_the_laboratory_it_leaves_the_linear_laws_behind():
