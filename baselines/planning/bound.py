@@ -30,7 +30,7 @@ from shake_env.scenario.scenario import Scenario
 
 ITERATIONS = 80
 TOLERANCE = 1e-5  # [-] of the cost: two iterations that save less end the search
-PLACES = (0.01, 0.2)  # [m] what the starting laws weigh an error of place with; see `preview_lqr`
+PLACES = (0.01, 0.05)  # [m] what the starting laws weigh an error of place with; see `preview_lqr`
 
 
 @dataclass(frozen=True)
