@@ -25,6 +25,9 @@ from baselines.lqr.mpc import MPCSettings, PredictiveControl
 from baselines.lqr.multi_model import drawn_models, multi_model_lqr
 from baselines.lqr.preview import PreviewFeedback, with_preview
 from baselines.lqr.sampled import LinearFeedback, lqr
+from baselines.planning.adaptive import AdaptivePredictiveControl
+from baselines.planning.nmpc import NMPCSettings, NonlinearPredictiveControl
+from baselines.planning.planned import PlannedControl, plan_records
 from baselines.servo.disturbance_observer import DisturbanceObserver, ObserverDesign
 from baselines.servo.inverse_model import InverseDesign, InverseFeedForward
 from baselines.servo.mcs import MCS, MCSDesign
@@ -70,11 +73,12 @@ class Baseline:
     summary: str
     tunable: Mapping[str, Tunable] = field(default_factory=dict)
     tests: int = 1  # of each earthquake that using it takes, the one that counts included
+    knows_motion: bool = False  # whether the whole motion is known before the test
 
     @property
-    def repeats_tests(self) -> bool:
-        """Whether `make` also takes the earthquakes, and repeats their tests beforehand."""
-        return self.tests > 1
+    def takes_earthquakes(self) -> bool:
+        """Whether `make` also takes the earthquakes: to repeat their tests, or to plan for them."""
+        return self.tests > 1 or self.knows_motion
 
 
 def _continuous(scenario: Scenario) -> Controller:
@@ -165,6 +169,34 @@ def _mpc(scenario: Scenario, *, displacement_tolerance: float, model_error_scale
         return PredictiveControl(full, MPCSettings(position=_tolerance(full, displacement_tolerance)))
 
     return _estimated(scenario, make, model_error_scale, accommodate=True)
+
+
+def _nmpc(scenario: Scenario, *, displacement_tolerance: float, model_error_scale: float) -> Controller:
+    if not (scenario.nonlinearity.active or scenario.limits.sees_floors):
+        raise ScenarioError(
+            "nonlinearity", "none, no limits", "it is preview-lqr, or lqg on signals: ask for that"
+        )
+    settings = NMPCSettings(
+        displacement_tolerance=_tolerance(scenario, displacement_tolerance),
+        model_error_scale=model_error_scale,
+    )
+    return NonlinearPredictiveControl(scenario, settings)
+
+
+def _nmpc_adaptive(
+    scenario: Scenario, *, displacement_tolerance: float, model_error_scale: float
+) -> Controller:
+    settings = NMPCSettings(
+        displacement_tolerance=_tolerance(scenario, displacement_tolerance),
+        model_error_scale=model_error_scale,
+    )
+    return AdaptivePredictiveControl(scenario, settings)
+
+
+def _planned(
+    scenario: Scenario, earthquakes: Sequence[Earthquake], *, model_error_scale: float
+) -> Controller:
+    return PlannedControl(scenario, plan_records(scenario, earthquakes), model_error_scale)
 
 
 def _multi_model(
@@ -283,6 +315,28 @@ BASELINES: dict[str, Baseline] = {
         _mpc,
         "predictive control within current, velocity and stroke",
         _ESTIMATED,
+    ),
+    "nmpc": Baseline(
+        _nmpc,
+        "nonlinear predictive control: extended Kalman filter, and a plan on the nonlinear model",
+        {
+            "displacement_tolerance": Tunable(0.001, 1.0, 0.2, natural="high"),
+            "model_error_scale": Tunable(0.003, 30.0, 0.1, natural="low"),
+        },
+    ),
+    "nmpc-adaptive": Baseline(
+        _nmpc_adaptive,
+        "nonlinear predictive control with the uncertain parameters estimated as states",
+        {
+            "displacement_tolerance": Tunable(0.001, 1.0, 0.2, natural="high"),
+            "model_error_scale": Tunable(0.003, 30.0, 0.1, natural="low"),
+        },
+    ),
+    "planned": Baseline(
+        _planned,
+        "the whole motion planned before the test, with feedback along the plan",
+        {"model_error_scale": Tunable(0.003, 30.0, 0.1, natural="low")},
+        knows_motion=True,
     ),
     "multi-model": Baseline(
         _multi_model,

@@ -150,10 +150,11 @@ def designed(
         if each not in baseline.tunable:
             raise unknown(ScenarioError, f"parameter of {name}", each, baseline.tunable)
     values = {each: tunable.default for each, tunable in baseline.tunable.items()} | dict(parameters)
-    if not baseline.repeats_tests:
+    if not baseline.takes_earthquakes:
         return baseline.make(scenario, **values)
     if earthquakes is None:
-        raise ScenarioError("controller", name, "repeats its tests beforehand: use shake compare")
+        why = "repeats its tests" if baseline.tests > 1 else "plans its motion"
+        raise ScenarioError("controller", name, f"{why} beforehand: use shake compare")
     return baseline.make(scenario, earthquakes, **values)
 
 

@@ -71,7 +71,7 @@ TOPICS = {
         "model", "scenario", "motion", "records", "dynamics", "simulation", "safety", "rendering",
         "kernels",
     ),
-    "baselines": ("lqr", "estimation", "servo", "iterative", "analysis"),
+    "baselines": ("lqr", "estimation", "planning", "servo", "iterative", "analysis"),
     "agents": (
         "policies", "evaluation", "training", "learning", "experiments", "reporting", "motions",
         "studies", "cli",
@@ -220,7 +220,7 @@ def tables() -> str:
 def suits(name: str, scenario: Scenario) -> bool:
     """Return whether a controller can be designed for a scenario."""
     baseline = BASELINES[name]
-    if baseline.repeats_tests:
+    if baseline.takes_earthquakes:
         return True
     try:
         baseline.make(scenario, **{each: t.default for each, t in baseline.tunable.items()})

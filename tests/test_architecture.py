@@ -32,6 +32,7 @@ ROOMS = """
     baselines/analysis
     baselines/iterative
     baselines/servo
+    baselines/planning
     baselines/estimation
     baselines/lqr
     baselines/batch_controllers
@@ -66,6 +67,7 @@ LIBRARIES = {
     "shake_env/records": {"numpy", "obspy", "h5py", "openpyxl"},
     "shake_env/scenario": {"numpy", "array_api_compat", "tomlkit"},
     "shake_env": {"numpy", "scipy", "array_api_compat"},
+    "baselines/planning": {"numpy", "scipy", "numba"},
     "baselines": {"numpy", "scipy", "control", "osqp", "array_api_compat"},
     "agents/policies": {"numpy", "safetensors", "array_api_compat", "onnx", "onnxruntime", "scipy"},
 }

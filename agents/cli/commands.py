@@ -39,6 +39,12 @@ COMMANDS = {
         "agents.cli.compare", "Compare", "Controllers side by side on the same earthquakes."
     ),
     "design": Command("agents.cli.design", "Design", "LQR of a specimen, and what to expect of it."),
+    "bound": Command(
+        "agents.cli.planning.bound", "Bound", "Least cost of an earthquake over all currents, all known."
+    ),
+    "plan": Command(
+        "agents.cli.planning.plan", "Plan", "A record's optimal currents, planned before its test."
+    ),
     "play": Command("agents.cli.play", "Play", "A controller at work, in a window or as a film."),
     "motion": Command(
         "agents.cli.motion", "Motion", "A recorded motion, and the scale that the table needs."

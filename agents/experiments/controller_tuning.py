@@ -114,7 +114,7 @@ def tune(
     steps = round(noise.duration / scenario.control_period) * earthquakes
     steps *= candidate.tests
     total = trials_of(budget, steps)
-    quakes = [motions] if candidate.repeats_tests else []
+    quakes = [motions] if candidate.takes_earthquakes else []
     starts = [{each: t.default for each, t in tunable.items()}, *starting_points(name, scenario, tuned)]
     if not quakes:
         candidate.make(scenario, **starts[0])  # says at once if the scenario does not suit it

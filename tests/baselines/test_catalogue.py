@@ -38,6 +38,7 @@ REFUSED = {
     ("unknown-specimen", "lqr-friction-ff"): "nothing to feed forward",
     ("yielding", "lqr-friction-ff"): "nothing to feed forward",
     ("linear", "mpc"): "without limits",
+    ("linear", "nmpc"): "preview-lqr",
     **{
         (scenario, name): "nothing to estimate"
         for scenario in ("linear", "yielding")
@@ -46,7 +47,7 @@ REFUSED = {
     **{
         (scenario, name): "uncertainty"
         for scenario in ("linear", "laboratory", "yielding")
-        for name in ("multi-model", "adaptive")
+        for name in ("multi-model", "adaptive", "nmpc-adaptive")
     },
 }
 

@@ -1,0 +1,79 @@
+"""The command ``shake bound``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+
+from agents.cli.command_options import FolderOptions
+from agents.progress import progress_bar
+from agents.reporting.terminal import print_table
+from agents.scenario_options import ScenarioOptions
+from agents.seeds import TEST_SEED
+from shake_env.errors import ParameterError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bound(FolderOptions):
+    """Find the least cost of each earthquake over all currents, everything known: a true bound.
+
+    No controller costs less on the same earthquake. The optimum is found from the currents of two
+    controllers; where both end at one cost, it can be trusted. Beside it stands what the scenario's
+    reference costs and, where theory gives it, the least expected cost of any law with the scenario's
+    own information.
+
+    Try:
+      shake bound --scenario laboratory
+      shake bound --scenario yielding --seeds 4000000 4000004 --json
+    """
+
+    scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
+    seeds: tuple[int, int] = (TEST_SEED, TEST_SEED + 4)
+    """Seeds of the earthquakes: from the first to the one before the second. A scenario of recorded
+    motions has its own earthquakes, numbered from 0."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Find, print, draw."""
+        from agents.evaluation.bound import bound_of
+
+        first, end = self.seeds
+        if not 0 <= first < end:
+            raise ParameterError("seeds", self.seeds, "give two, the second above the first")
+        scenario = self.scenario.build()
+        folder = self.results_folder("bound")
+        with progress_bar() as bar:
+            task = bar.add_task(f"bound, {scenario.name}", total=1.0)
+            result, optima = bound_of(
+                scenario, first, end, lambda share: bar.update(task, completed=share)
+            )
+        rows = [
+            (
+                name,
+                f"{cost:.6g}",
+                f"{reference:.6g}",
+                f"{reference / cost:.3f}",
+                f"{100 * disagreement:.3f} %",
+                f"{seconds:.2f} s",
+            )
+            for name, cost, reference, disagreement, seconds in zip(
+                result["earthquakes"],
+                result["costs"],
+                result["reference_costs"],
+                result["disagreements"],
+                result["seconds"],
+                strict=True,
+            )
+        ]
+        heading = ("earthquake", "bound", result["reference"], "ratio", "starts differ", "time")
+        print_table(console, heading, rows)
+        causal = result["causal_bound"]
+        console.print(f"causal bound: {causal['text']}", highlight=False)
+        if folder is not None:
+            from agents.reporting.bound_figure import draw_optimum
+
+            for path in draw_optimum(optima[0], folder):
+                console.print(f"wrote {path}")
+        return result

@@ -1,0 +1,196 @@
+"""Extended Kalman filter: state of a nonlinear table, disturbances and offsets from its signals.
+
+The model is the exact nonlinear period with the loop delay; beside the state it estimates a force on the
+table and a flow through the valve that the model leaves out, the outputs of the sensors' low-passes, and
+their offsets. Sizes of noise and disturbances are those of `baselines.estimation.estimator_model`: on a
+linear table the two filters are one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from baselines.estimation.estimator_model import DISTURBANCES, ROUNDING, EstimatorModel, ModelError
+from baselines.planning.model import PlanningModel, compiled
+from shake_env.dynamics.nonlinear import floor_rows
+from shake_env.model.parameters import FloatArray
+from shake_env.scenario.observation import STATE_SIGNALS
+from shake_env.scenario.scenario import Scenario
+from shake_env.simulation.sensors import Measurement
+
+FRICTION_SHARE = 0.05  # [-] of the friction that a filter with friction in its model takes for unknown
+
+
+def model_error(scenario: Scenario, model_error_scale: float = 1.0) -> ModelError:
+    """Return what the nonlinear model leaves out: `ModelError` without what is in the model.
+
+    `model_error_scale` multiplies both disturbances. Of the friction, `FRICTION_SHARE` stays unknown.
+    """
+    whole = ModelError.of(scenario)
+    friction = scenario.nonlinearity.friction
+    force = max(friction.coulomb, friction.static or 0.0)
+    other = np.sqrt(max(whole.force**2 - force**2, 0.0))
+    size = float(np.hypot(other, FRICTION_SHARE * force))
+    return ModelError(
+        force=model_error_scale * size,
+        flow=model_error_scale * whole.flow,
+        force_time=whole.force_time,
+        flow_time=whole.flow_time,
+        bias_time=whole.bias_time,
+    )
+
+
+@dataclass(frozen=True)
+class TableEstimate:
+    """What the filter knows of N tables."""
+
+    state: FloatArray  # (N, n) SI, the commands under way last
+    rest: FloatArray  # (N, a - m) outputs of low-passes, then offsets, over the readings' scale
+    covariance: FloatArray  # (N, a, a) of the m scaled states and `rest`
+    innovation: FloatArray  # (N, s) of the last readings over their standard deviations
+
+    @property
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """The estimate as plain arrays."""
+        return self.state, self.rest, self.covariance, self.innovation
+
+
+@dataclass(frozen=True)
+class ExtendedKalmanFilter:
+    """The filter of a scenario's sensors."""
+
+    model: PlanningModel
+    sensors: tuple[Any, ...]  # see filter_kernel.SensorArrays
+    Q: FloatArray  # (a, a) what a period adds to the covariance
+    start: FloatArray  # (a, a) covariance at an episode's start
+    keep: FloatArray  # (a - m) share of a low-pass's output or an offset that stays over a period
+    parameters: tuple[FloatArray, FloatArray, FloatArray]  # see filter_kernel.ParameterArrays
+
+    @classmethod
+    def of(cls, scenario: Scenario, error: ModelError | None = None) -> ExtendedKalmanFilter:
+        """Return the filter of a scenario; one that shows the full state reads every state of it.
+
+        Parameters
+        ----------
+        scenario
+            Its nominal plant, nonlinear parts, delay and sensors.
+        error
+            What the model leaves out; None: `model_error`.
+        """
+        error = model_error(scenario) if error is None else error
+        model, linear = PlanningModel.of(scenario, error), EstimatorModel.of(scenario, error)
+        shown = 4 + 2 * scenario.specimen.stories
+        sensors = _sensors(scenario, model)
+        follow, filtered, biased = sensors[2], sensors[3], sensors[4]
+        m, low_passes = model.order, int(np.sum(filtered >= 0))
+        # Where the linear model's states lie in this one, which has slips and the spool's velocity too.
+        behind = m + np.arange(linear.order - shown - DISTURBANCES)
+        places = np.r_[:shown, m - DISTURBANCES : m, behind]
+        Q, start = np.zeros((2, m + len(behind), m + len(behind)))
+        Q[np.ix_(places, places)], start[np.ix_(places, places)] = linear.Q, linear.start
+        offsets = np.diag(linear.A)[shown + DISTURBANCES + low_passes :]
+        keep = np.concatenate([1.0 - follow[filtered >= 0], offsets])
+        assert (biased >= 0).sum() == len(offsets)
+        return cls(model, sensors, Q, start, keep, (np.zeros(0), np.zeros(0), np.zeros(0)))
+
+    def with_parameters(
+        self, step: FloatArray, low: FloatArray, high: FloatArray, spread: FloatArray, walk: FloatArray
+    ) -> ExtendedKalmanFilter:
+        """Return the filter that estimates p parameters as well, the last entries of `rest`.
+
+        Parameters
+        ----------
+        step
+            (p,) between the models that slopes along the parameters are taken from.
+        low, high
+            (p,) ends between which an estimate is kept.
+        spread, walk
+            (p,) standard deviation at the start, and of what a period adds.
+        """
+        p = len(step)
+        return replace(
+            self,
+            Q=block_diag(self.Q, np.diag(walk**2)),
+            start=block_diag(self.start, np.diag(spread**2)),
+            keep=np.append(self.keep, np.ones(p)),
+            parameters=(step, low, high),
+        )
+
+    def rest(self, lanes: int) -> TableEstimate:
+        """Return the estimate of N tables at rest, before any reading."""
+        size, m = len(self.Q), self.model.order
+        return TableEstimate(
+            np.zeros((lanes, self.model.states)),
+            np.zeros((lanes, size - m)),
+            np.repeat(self.start[None], lanes, axis=0),
+            np.zeros((lanes, len(self.sensors[2]))),
+        )
+
+    def advance(
+        self,
+        last: TableEstimate,
+        current: FloatArray,
+        readings: FloatArray,
+        fresh: NDArray[np.bool_],
+        models: tuple[Any, ...] | None = None,
+        anchor: FloatArray | None = None,
+    ) -> TableEstimate:
+        """Return the estimate a period after `last`, the new readings included.
+
+        Parameters
+        ----------
+        current
+            (N,) command of the period between [A].
+        readings
+            (N, s) over their scale, as an observation holds them.
+        fresh
+            (N,) True where the readings are those of an episode's start: the table is at rest.
+        models, anchor
+            With p parameters as states: matrices of N (2 p + 1) tables, the model of each and those a
+            step up and down in each parameter, and the (N, p) parameters of the first; else None.
+        """
+        x, rest, P, innovation = (np.array(part) for part in last.arrays)
+        compiled("filter_kernel").filter_tables(
+            x, rest, P, np.ascontiguousarray(fresh, dtype=np.int64),
+            np.ascontiguousarray(current, dtype=float), np.ascontiguousarray(readings, dtype=float),
+            self.model.arrays if models is None else models,
+            np.zeros((len(x), 0)) if anchor is None else anchor,
+            self.parameters, self.model.scale, self.sensors, self.Q, self.start, self.keep, innovation,
+        )  # fmt: skip
+        return TableEstimate(x, rest, P, innovation)
+
+
+def _sensors(scenario: Scenario, model: PlanningModel) -> tuple[Any, ...]:
+    """Return the sensors as `filter_kernel.SensorArrays`."""
+    n, m = model.states, model.order
+    if scenario.sensing.full_state:
+        s = 4 + 2 * scenario.specimen.stories
+        none = np.full(s, -1)
+        rounding = np.full(s, ROUNDING**2)
+        return np.eye(s, n), np.zeros((s, 2)), np.ones(s), none, none, rounding
+    layout = scenario.observation
+    measurement = Measurement.of(layout, scenario.control_period)
+    s, scale = layout.readings_count, measurement.scale
+    rows, outputs = np.zeros((s, n)), np.zeros((s, 2))
+    floors = floor_rows(scenario.plant, scenario.nonlinearity.yielding)
+    for r, name in enumerate(layout.reading_names):
+        if name in STATE_SIGNALS:
+            place = STATE_SIGNALS[name]
+            rows[r, place] = model.scale[place] / scale[r]
+        elif name in ("table_acceleration", "base_shear"):
+            outputs[r, int(name == "base_shear")] = 1.0 / scale[r]
+        else:
+            floor = floors[int(name.rsplit("_", 1)[1]) - 1]
+            rows[r, 4 : 4 + len(floor)] = floor * model.scale[4 : 4 + len(floor)] / scale[r]
+    noise = layout.sensor_values("noise") ** 2 + layout.sensor_values("resolution") ** 2 / 12.0
+    passes, offset = measurement.follow < 1.0, layout.sensor_values("bias") > 0.0
+    filtered, biased = np.full(s, -1), np.full(s, -1)
+    filtered[passes] = m + np.arange(passes.sum())
+    biased[offset] = m + passes.sum() + np.arange(offset.sum())
+    variance = noise / scale**2 + ROUNDING**2
+    return rows, outputs, np.array(measurement.follow, dtype=float), filtered, biased, variance

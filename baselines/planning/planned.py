@@ -1,0 +1,202 @@
+"""A whole record planned before the test: the optimal currents, and feedback along them during the test.
+
+The plan is the optimum of the nominal table with the record known (:mod:`baselines.planning.bound`).
+During the test the currents are corrected by ``K_t (x - x_t)``, x the estimate of the extended Kalman
+filter and K_t the feedback of the plan's last iteration: what is optimal to first order after a small
+disturbance (neighbouring extremals: Bryson and Ho, Applied Optimal Control, 1975, ch. 6). What the plan
+knows is the record itself, which a laboratory has before the test; it knows nothing of the true table.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.planning.bound import OptimalEpisode, optimal_episodes
+from baselines.planning.ekf import ExtendedKalmanFilter, TableEstimate, model_error
+from shake_env.dynamics.yielding_reference import YieldingReference
+from shake_env.errors import FileError, ParameterError
+from shake_env.model.parameters import FloatArray
+from shake_env.rollout import Earthquake
+from shake_env.scenario.digest import scenario_digest
+from shake_env.scenario.scenario import Scenario
+from shake_env.scenario.uncertainty import Uncertainty
+
+ARRAYS = ("current", "state", "response", "gain", "target", "shear")
+
+
+@dataclass(frozen=True)
+class RecordPlan:
+    """The plan of one earthquake on the nominal table."""
+
+    name: str  # of the earthquake
+    digest: str  # of the scenario, its nominal table alone
+    cost: float  # mean stage cost on the nominal table
+    current: FloatArray  # (T) [A]
+    state: FloatArray  # (T + 1, n) SI, the commands under way last
+    response: FloatArray  # (T, 2 k) y_A [m/s^2] after each physics step, then f_s [N]
+    gain: FloatArray  # (T, n) feedback on the scaled state [A]
+    target: FloatArray  # (T, k) [m/s^2]
+    shear: FloatArray  # (T, k) of the nominal reference specimen [N]
+
+    def write(self, file: Path) -> None:
+        """Write the plan as numpy's .npz."""
+        arrays = {name: getattr(self, name) for name in ARRAYS}
+        np.savez_compressed(file, name=self.name, digest=self.digest, cost=self.cost, **arrays)
+
+    @classmethod
+    def read(cls, file: Path) -> RecordPlan:
+        """Read what `write` wrote.
+
+        Raises
+        ------
+        FileError
+            If there is no such file, or it is none of these.
+        """
+        try:
+            with np.load(file, allow_pickle=False) as held:
+                arrays = {name: np.asarray(held[name], dtype=float) for name in ARRAYS}
+                name, digest = str(held["name"]), str(held["digest"])
+                return cls(name, digest, float(held["cost"]), **arrays)
+        except (OSError, KeyError, ValueError) as error:
+            raise FileError("plan", str(file), f"is no file of shake plan: {error}") from error
+
+
+def nominal(scenario: Scenario) -> Scenario:
+    """Return the scenario with its own values for the plant, nothing drawn."""
+    return replace(scenario, uncertainty=Uncertainty())
+
+
+def plan_records(
+    scenario: Scenario, earthquakes: Sequence[Earthquake], on_step: Any = lambda share: None
+) -> list[RecordPlan]:
+    """Plan each earthquake on the nominal table.
+
+    The target is the earthquake's; what a specimen that differs from the nominal one would have done
+    is not known: the reference shear is that of the nominal specimen.
+    """
+    own = nominal(scenario)
+    found = []
+    optima: list[OptimalEpisode] = optimal_episodes(
+        scenario, earthquakes, plant=own, signals=nominal_reference, on_step=on_step
+    )
+    for quake, optimum in zip(earthquakes, optima, strict=True):
+        if not math.isfinite(optimum.cost):
+            raise ParameterError("earthquake", quake.name, "no plan keeps the limits: scale it down")
+        episode = optimum.episode
+        found.append(
+            RecordPlan(
+                quake.name,
+                scenario_digest(own),
+                optimum.cost,
+                optimum.current,
+                optimum.state,
+                optimum.response,
+                optimum.gain,
+                episode.target,
+                episode.shear,
+            )
+        )
+    return found
+
+
+def nominal_reference(scenario: Scenario, target: FloatArray) -> FloatArray:
+    """Return f~_s (T, k) [N] of the nominal specimen under a target (T, k) that begins at rest."""
+    reference = YieldingReference.of(
+        scenario.plant, scenario.nonlinearity.yielding, scenario.physics_step
+    )
+    start = np.zeros((1, 3 * scenario.specimen.stories))
+    samples = np.concatenate([[0.0], target.ravel()])[:, None]
+    shear: FloatArray = reference.run(start, samples)[2][:, 0].reshape(target.shape)
+    return shear
+
+
+@dataclass(frozen=True)
+class PlanPlace:
+    """Where N tables are in their plans, and what is known of them."""
+
+    period: NDArray[np.intp]  # (N,) of the coming command
+    current: FloatArray  # (N,) last command [A]
+    estimate: TableEstimate
+
+
+class PlannedControl:
+    """Plays plans with feedback along them: a `Controller`, one plan a lane.
+
+    Parameters
+    ----------
+    scenario
+        What is shown; its nominal plant is the filter's model.
+    plans
+        One a lane, or one for all.
+    model_error_scale
+        [-] factor on the disturbances that the filter expects, see `model_error`.
+    """
+
+    def __init__(
+        self, scenario: Scenario, plans: Sequence[RecordPlan], model_error_scale: float = 0.1
+    ) -> None:
+        digest = scenario_digest(nominal(scenario))
+        for plan in plans:
+            if plan.digest != digest:
+                raise ParameterError("plan", plan.name, "was made for another table: plan it anew")
+        self._scenario, self._shown = scenario, scenario.observation
+        self.filter = ExtendedKalmanFilter.of(
+            nominal(scenario), model_error(scenario, model_error_scale)
+        )
+        model = self.filter.model
+        # Where a plan's states, which hold no disturbances, lie in the filter's.
+        free = model.order - model.disturbances
+        self._places = np.r_[:free, model.order : model.states]
+        self._length = np.array([len(plan.current) for plan in plans])
+        longest = int(self._length.max())
+        n = len(self._places)
+        self._current = np.zeros((len(plans), longest))
+        self._state, self._gain = np.zeros((2, len(plans), longest, n))
+        for row, plan in enumerate(plans):
+            T = len(plan.current)
+            self._current[row, :T] = plan.current
+            self._state[row, :T] = plan.state[:T] / model.scale[self._places]
+            self._gain[row, :T] = plan.gain
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: tuple[Any, ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
+        """Return the action (..., 1) for an observation (..., n), and ``(PlanPlace,)``."""
+        lead = observation.shape[:-1]
+        shown = np.asarray(observation, dtype=float).reshape(-1, observation.shape[-1])
+        lanes, limit = len(shown), self._scenario.current_limit
+        rows = np.zeros(lanes, dtype=int) if len(self._current) == 1 else np.arange(lanes)
+        if len(self._current) not in (1, lanes):
+            raise ParameterError("lanes", lanes, f"there are plans for {len(self._current)}")
+        fresh = np.ones(lanes, dtype=bool)
+        if state is None:
+            last = PlanPlace(np.zeros(lanes, dtype=int), np.zeros(lanes), self.filter.rest(lanes))
+        else:
+            last = state[0]
+            none = np.zeros(lanes, dtype=bool)
+            fresh = none if episode_start is None else np.reshape(episode_start, lanes).astype(bool)
+        sensing, layout = self._scenario.sensing, self._scenario.plant.layout
+        given = last.current
+        if sensing.last_action:
+            given = shown[:, self._shown.last_action.start] * limit
+        readings = shown[:, layout.controlled if sensing.full_state else self._shown.readings]
+        estimate = self.filter.advance(last.estimate, np.where(fresh, 0.0, given), readings, fresh)
+        period = np.where(fresh, 0, last.period)
+        at = np.minimum(period, self._length[rows] - 1)
+        z = estimate.state[:, self._places] / self.filter.model.scale[self._places]
+        away = z - self._state[rows, at]
+        current = self._current[rows, at] + np.einsum("ni,ni->n", self._gain[rows, at], away)
+        current = np.where(period < self._length[rows], np.clip(current, -limit, limit), 0.0)
+        action = (current / limit).astype(np.float32).reshape(*lead, 1)
+        return action, (PlanPlace(period + 1, current, estimate),)

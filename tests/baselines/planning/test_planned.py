@@ -1,0 +1,84 @@
+"""A motion planned before its test: close to the optimum, also where the table differs a little."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+
+from baselines.planning.bound import optimal_episodes
+from baselines.planning.episodes import driven, episodes
+from baselines.planning.planned import (
+    ARRAYS,
+    PlannedControl,
+    RecordPlan,
+    nominal_reference,
+    plan_records,
+)
+from baselines.registry import make_baseline
+from shake_env import make_scenario
+from shake_env.errors import FileError, ParameterError
+from shake_env.rollout import noise_earthquakes, recorded_earthquakes, rollout
+
+
+@pytest.fixture(scope="module")
+def planned():
+    scenario = make_scenario("laboratory", {"duration": 5.0})
+    quakes = noise_earthquakes(scenario, 2, 4_000_000)
+    return scenario, quakes, plan_records(scenario, quakes)
+
+
+def test_on_the_planned_table_it_nearly_costs_the_optimum(planned):
+    scenario, quakes, plans = planned
+    least = np.array([each.cost for each in optimal_episodes(scenario, quakes)])
+    assert [plan.cost for plan in plans] == pytest.approx(least, rel=0.01)
+    _, costs, lost = driven(PlannedControl(scenario, plans), scenario, quakes)
+    assert not any(lost)
+    assert (least <= costs).all() and (np.array(costs) < 1.15 * least).all()
+
+
+def test_feedback_keeps_the_plan_on_a_table_that_differs(planned):
+    scenario, quakes, plans = planned
+    friction = replace(scenario.nonlinearity.friction, coulomb=180.0)
+    actuator = replace(scenario.actuator, bulk_modulus=0.95 * scenario.actuator.bulk_modulus)
+    nonlinearity = replace(scenario.nonlinearity, friction=friction)
+    other = replace(scenario, nonlinearity=nonlinearity, actuator=actuator)
+    law = PlannedControl(scenario, plans)
+    rows = rollout(law, other, quakes)[0]
+    reference = rollout(make_baseline("lqg", scenario), other, quakes)[0]
+    assert not any(row.broken_limit for row in rows)
+    assert np.mean([row.cost for row in rows]) < np.mean([row.cost for row in reference])
+
+
+@pytest.mark.parametrize("name", ["records", "yielding"])
+def test_the_nominal_reference_is_the_environments(name):
+    """Of a record, which runs straight between its samples, and of a specimen that yields."""
+    scenario = make_scenario(name, {"duration": 2.0} if name == "yielding" else {})
+    recorded = name == "records"
+    quakes = recorded_earthquakes(scenario) if recorded else noise_earthquakes(scenario, 1, 3)
+    (episode,) = episodes(scenario, quakes[:1])
+    ours = nominal_reference(scenario, episode.target)
+    np.testing.assert_allclose(ours, episode.shear, atol=1e-9 * np.abs(episode.shear).max())
+
+
+def test_a_plan_is_read_as_it_was_written(planned, tmp_path):
+    plan = planned[2][0]
+    plan.write(tmp_path / "plan.npz")
+    again = RecordPlan.read(tmp_path / "plan.npz")
+    assert (again.name, again.digest, again.cost) == (plan.name, plan.digest, plan.cost)
+    assert all(np.array_equal(getattr(again, each), getattr(plan, each)) for each in ARRAYS)
+    (tmp_path / "other.npz").write_bytes(b"no plan")
+    for missing in ("other.npz", "none.npz"):
+        with pytest.raises(FileError, match="shake plan"):
+            RecordPlan.read(tmp_path / missing)
+
+
+def test_a_plan_is_of_one_table(planned):
+    scenario, _, plans = planned
+    other = replace(scenario, current_limit=0.03)
+    with pytest.raises(ParameterError, match="another table"):
+        PlannedControl(other, plans)
+    law = PlannedControl(scenario, plans)
+    with pytest.raises(ParameterError, match="plans for 2"):
+        law.predict(np.zeros((3, scenario.observation.size), dtype=np.float32))
