@@ -143,7 +143,10 @@ def test_physics_states_meet_the_roll_out(noise_group):
     assert all(len(values) == len(motion.time) for values in signals.values())
     velocity = np.diff(signals["table_displacement"]) / STEP
     middle = 0.5 * (signals["table_velocity"][1:] + signals["table_velocity"][:-1])
-    np.testing.assert_allclose(velocity, middle, atol=1e-4)
+    # The trapezoidal rule is off by the velocity's second difference over 12; in between samples the
+    # second derivative may be larger, here by less than a factor of 2.
+    bend = np.max(np.abs(np.diff(signals["table_velocity"], 2)))
+    assert np.max(np.abs(velocity - middle)) < 2.0 * bend / 12.0
     # y_A is the slope of the velocity, and the roll-out reports it by itself.
     slope = (signals["table_velocity"][2:] - signals["table_velocity"][:-2]) / (2.0 * STEP)
     assert np.max(np.abs(slope - signals["table_acceleration"][1:-1])) < 0.05 * np.max(np.abs(slope))
