@@ -32,8 +32,8 @@ SCHEMA_FILE = "scenario.schema.json"
 # stands in the last one.
 PARTS: Mapping[str, tuple[Steps, ...]] = {
     "table": (
-        ("table",), ("actuator",), ("current_limit",), ("delay",), ("limits",), ("nonlinearity", "friction"),
-        ("nonlinearity", "valve"), ("nonlinearity", "stops"),
+        ("table",), ("actuator",), ("current_limit",), ("delay",), ("limits",),
+        ("nonlinearity", "friction"), ("nonlinearity", "valve"), ("nonlinearity", "stops"),
     ),
     "specimen": (("specimen",), ("nonlinearity", "yielding")),
     "sensors": (("sensing",),),

@@ -427,7 +427,8 @@ def test_a_structure_is_given_by_matrices_a_file_or_modes(write, tmp_path):
     assert scenario.specimen == expected
     written = tmp_path / "written.toml"
     write_scenario(scenario, written)
-    assert make_scenario(written).specimen == expected and "coupled_stiffnesses = [[" in written.read_text()
+    assert make_scenario(written).specimen == expected
+    assert "coupled_stiffnesses = [[" in written.read_text()
     (tmp_path / "frame.csv").write_text("M\n40,0\n0,30\nK\n8e4,-3e4\n-3e4,3e4\n")
     ratio = specimen_from_matrices(mass, stiffness, damping_ratio=0.02)
     text = '[specimen.file]\npath = "frame.csv"\ndamping_ratio = "2 %"\n'
