@@ -116,8 +116,8 @@ def test_unknown_options_exit_with_2_and_say_so():
 @pytest.mark.parametrize(
     "command",
     [
-        "run-experiments", "model-card", "compare", "design", "evaluate", "export", "motion", "reproduce", "update-docs",
-        "train", "validate",
+        "run-experiments", "model-card", "compare", "design", "evaluate", "export", "motion",
+        "reproduce", "update-docs", "train", "validate-transients",
     ],
 )  # fmt: skip
 def test_help_teaches_by_example(command, capsys):
