@@ -152,10 +152,10 @@ def _robustness(result: dict[str, Any]) -> dict[str, Any]:
 
 
 def _png(figure: Figure) -> str:
-    written = io.BytesIO()
+    image = io.BytesIO()
     with figure_style():
-        figure.savefig(written, format="png", metadata={"Software": None})
-    return base64.b64encode(written.getvalue()).decode("ascii")
+        figure.savefig(image, format="png", metadata={"Software": None})
+    return base64.b64encode(image.getvalue()).decode("ascii")
 
 
 def write_report(report: Report, folder: str | PathLike[str]) -> list[Path]:

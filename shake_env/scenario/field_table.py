@@ -22,7 +22,29 @@ from shake_env.model.ranges import RANGES, UNCERTAIN, Range
 MISSING = dataclasses.MISSING  # default of a field that has none
 # Constructors whose parameters have the ranges of another one's, by their names in `RANGES`.
 _SAME_RANGES = {"equal_storeys": "Specimen.uniform", "recorded_file": "RecordedMotion"}
-_FORM_RANGES = {"recorded_file": {"sampling_interval": Range(1e-9, 1e3, "s", optional=True)}}
+_MASS, _STIFFNESS, _DAMPING = (Range(-1e18, 1e18, unit) for unit in ("kg", "N/m", "N s/m"))
+_HERTZ = RANGES["Specimen.uniform"]["storey_frequency"]
+_RATIO = RANGES["Specimen.uniform"]["damping_ratio"]
+_RAYLEIGH = {
+    "damping_ratio": _RATIO,
+    "rayleigh_frequencies": _HERTZ,
+    "rayleigh_damping_ratios": _RATIO,
+}
+_FURTHER_RANGES = {
+    "recorded_file": {"sampling_interval": Range(1e-9, 1e3, "s", optional=True)},
+    "Specimen": {  # each entry of a matrix
+        "coupled_masses": _MASS,
+        "coupled_stiffnesses": _STIFFNESS,
+        "coupled_dampings": _DAMPING,
+    },
+    "structure_matrices": {
+        "mass": _MASS, "stiffness": _STIFFNESS, "damping": _DAMPING, **_RAYLEIGH
+    },
+    "structure_file": _RAYLEIGH,
+    "measured_modes": {
+        "masses": RANGES["Specimen"]["masses"], "frequencies": _HERTZ, "damping_ratios": _RATIO
+    },
+}  # fmt: skip
 OF_THE_SIGNAL = "of the signal"  # unit of a sensor's fields, which the signal decides
 
 
@@ -94,7 +116,7 @@ def _ranges(kind: Callable[..., Any]) -> Mapping[str, Range]:
     name = kind.__qualname__
     if name == "Uncertainty":
         return UNCERTAIN
-    return {**RANGES.get(_SAME_RANGES.get(name, name), {}), **_FORM_RANGES.get(name, {})}
+    return {**RANGES.get(_SAME_RANGES.get(name, name), {}), **_FURTHER_RANGES.get(name, {})}
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:

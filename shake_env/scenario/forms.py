@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from shake_env.errors import RecordError
+from shake_env.errors import ParameterError, RecordError
 from shake_env.model.parameters import Actuator, Specimen
+from shake_env.model.specimens import read_specimen, specimen_from_matrices, specimen_from_modes
 from shake_env.motion.processing import fit_amplitude, remove_baseline
 from shake_env.motion.targets import RecordedMotion
 from shake_env.records import read_motion
@@ -57,6 +58,101 @@ def equal_storeys(
         damping_ratio=damping_ratio,
         table_mass=_context.actuator.table_mass,
     )
+
+
+def structure_matrices(
+    *,
+    mass: tuple[float | tuple[float, ...], ...],
+    stiffness: tuple[tuple[float, ...], ...],
+    damping: tuple[tuple[float, ...], ...] | None = None,
+    damping_ratio: float | tuple[float, ...] | None = None,
+    rayleigh_frequencies: tuple[float, ...] | None = None,
+    rayleigh_damping_ratios: tuple[float, ...] | None = None,
+    _context: FormContext,
+) -> Specimen:
+    """Return the structure of its matrices; see `specimen_from_matrices`.
+
+    Parameters
+    ----------
+    mass
+        M, a list for each row, or the list of a diagonal [kg].
+    stiffness
+        K, a list for each row [N/m].
+    damping
+        C, a list for each row [N s/m]; none: damping ratios, or Rayleigh damping.
+    damping_ratio
+        Damping ratio of every mode, or a list with each mode's, by rising frequency [-].
+    rayleigh_frequencies
+        Two frequencies [Hz] at which Rayleigh damping has `rayleigh_damping_ratios`.
+    rayleigh_damping_ratios
+        Damping ratios at these two frequencies [-].
+    """
+    rayleigh = _rayleigh(rayleigh_frequencies, rayleigh_damping_ratios)
+    return specimen_from_matrices(
+        mass, stiffness, damping, damping_ratio=damping_ratio, rayleigh=rayleigh
+    )
+
+
+def structure_file(
+    *,
+    path: str,
+    damping_ratio: float | tuple[float, ...] | None = None,
+    rayleigh_frequencies: tuple[float, ...] | None = None,
+    rayleigh_damping_ratios: tuple[float, ...] | None = None,
+    _context: FormContext,
+) -> Specimen:
+    """Return the structure of a MAT or CSV file of its matrices; see `read_specimen`.
+
+    Parameters
+    ----------
+    path
+        The file with M, K and perhaps C, relative to the file that names it.
+    damping_ratio
+        Of a file without C: damping ratio of every mode, or a list with each mode's [-].
+    rayleigh_frequencies
+        Of a file without C: two frequencies [Hz] of Rayleigh damping.
+    rayleigh_damping_ratios
+        Damping ratios at these two frequencies [-].
+    """
+    rayleigh = _rayleigh(rayleigh_frequencies, rayleigh_damping_ratios)
+    return read_specimen(_context.folder / path, damping_ratio=damping_ratio, rayleigh=rayleigh)
+
+
+def measured_modes(
+    *,
+    masses: tuple[float, ...],
+    frequencies: tuple[float, ...],
+    damping_ratios: tuple[float, ...],
+    shapes: tuple[tuple[float, ...], ...],
+    _context: FormContext,
+) -> Specimen:
+    """Return a structure with measured modes; see `specimen_from_modes`.
+
+    Parameters
+    ----------
+    masses
+        Mass of each floor [kg].
+    frequencies
+        Frequency of each measured mode, rising [Hz].
+    damping_ratios
+        Damping ratio of each measured mode [-].
+    shapes
+        Mode shapes, a list for each floor with a number for each mode [-].
+    """
+    return specimen_from_modes(masses, frequencies, damping_ratios, shapes)
+
+
+def _rayleigh(
+    frequencies: tuple[float, ...] | None, ratios: tuple[float, ...] | None
+) -> tuple[tuple[float, float], ...] | None:
+    if frequencies is None and ratios is None:
+        return None
+    pairs = (frequencies or (), ratios or ())
+    if [len(each) for each in pairs] != [2, 2]:
+        name = "rayleigh_frequencies" if frequencies is not None else "rayleigh_damping_ratios"
+        remedy = "give two rayleigh_frequencies and two rayleigh_damping_ratios"
+        raise ParameterError(name, frequencies if frequencies is not None else ratios, remedy)
+    return tuple(zip(*pairs, strict=True))
 
 
 def recorded_file(
@@ -146,7 +242,12 @@ def recorded_file(
 
 
 FORMS: dict[type, Mapping[str, Callable[..., Any]]] = {
-    Specimen: {"uniform": equal_storeys},
+    Specimen: {
+        "uniform": equal_storeys,
+        "matrices": structure_matrices,
+        "file": structure_file,
+        "modes": measured_modes,
+    },
     RecordedMotion: {"file": recorded_file},
 }
 """Part, to the name of a form, to its constructor."""

@@ -123,7 +123,8 @@ def _field(about: Field, definitions: dict[str, Schema], signal_unit: str = "") 
         parts = [_reference(kind, definitions) for kind in parts_of(items)]
         each = parts or _numbers(allowed, unit)
         if item_kinds(items) is not None:  # rows of a matrix
-            each = [{"type": "array", "items": {"anyOf": each}}]
+            row: Schema = {"type": "array", "items": {"anyOf": each}}
+            each = [*each, row] if float in items else [row]
         choices.append({"type": "array", "items": {"anyOf": each}, "minItems": 1})
     else:
         choices += [

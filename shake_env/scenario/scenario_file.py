@@ -24,6 +24,8 @@ from shake_env.scenario.field_paths import NOTHING, Node, Steps, nodes_of
 from shake_env.scenario.observation import Sensor
 from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import Scenario
+from shake_env.scenario.tables.on_table import on_table
+from shake_env.scenario.tables.table import TABLE_NAMES, named_table
 from shake_env.scenario.toml_lines import TomlSource
 
 LARGEST = 10_000_000  # [bytes] of a JSON file; one of a hundred storeys has 10 000
@@ -206,8 +208,19 @@ def parse_toml(file: str | os.PathLike[str], text: str) -> Scenario:
         raise ScenarioError(base.place, base.given(), f"is no named scenario: {remedy}")
     if "name" not in tree.parts:
         tree.child("name").value = file.stem
-    scenario: Scenario = Builder().part((Scenario,), tree, NAMED[start]())
+    scenario: Scenario = Builder().part((Scenario,), tree, _on_its_table(NAMED[start](), tree))
     return scenario
+
+
+def _on_its_table(scenario: Scenario, tree: Node) -> Scenario:
+    """Return a scenario on the table that a file names, before what else it says."""
+    node = tree.parts.get("table")
+    if node is None or (node.value not in TABLE_NAMES and "actuator" in tree.parts):
+        return scenario  # a table without a name here is what the file says of its actuator
+    try:
+        return on_table(scenario, named_table(node.value))
+    except ShakeError as error:
+        raise type(error)(node.place, node.given(), error.remedy) from None
 
 
 def _tree(source: TomlSource, including: tuple[Path, ...], files: set[Path]) -> Node:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from shake_env.errors import FileError, ParameterError
+from shake_env.files import write_text
 from shake_env.motion.targets import RecordedMotion
 from shake_env.records import Record, write_record
 from shake_env.scenario.builder import NONE
@@ -31,8 +32,8 @@ SCHEMA_FILE = "scenario.schema.json"
 # stands in the last one.
 PARTS: Mapping[str, tuple[Steps, ...]] = {
     "table": (
-        ("actuator",), ("current_limit",), ("delay",), ("limits",), ("nonlinearity", "friction"),
-        ("nonlinearity", "valve"), ("nonlinearity", "stops"),
+        ("table",), ("actuator",), ("current_limit",), ("delay",), ("limits",),
+        ("nonlinearity", "friction"), ("nonlinearity", "valve"), ("nonlinearity", "stops"),
     ),
     "specimen": (("specimen",), ("nonlinearity", "yielding")),
     "sensors": (("sensing",),),
@@ -116,18 +117,9 @@ def write_scenario(
     schema = resources.files(__package__).joinpath(SCHEMA_FILE).read_text(encoding="utf-8")
     for path, text in {**texts, file.with_name(SCHEMA_FILE): schema}.items():
         if not path.exists() or path.read_bytes() != text.encode():
-            _replace(path, text)
+            write_text(path, text)
             written.append(path)
     return written
-
-
-def _replace(path: Path, text: str) -> None:
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_bytes(text.encode())
-        os.replace(part, path)
-    except OSError as error:
-        raise FileError(str(path), error.strerror, "must be a place that can be written to") from None
 
 
 def _heading() -> str:

@@ -246,7 +246,7 @@ def test_the_first_compilation_says_that_it_happens_once(tmp_path):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device here")
-@pytest.mark.parametrize("words", [["--help"], ["scenario", "--json"]])
+@pytest.mark.parametrize("words", [["--help"], ["show-scenario", "--json"]])
 def test_a_full_standard_output_is_named_without_a_traceback(words):
     command = [sys.executable, "-m", "agents", *words]
     with open("/dev/full", "w") as full:
@@ -450,8 +450,12 @@ def test_a_text_that_is_no_scenario(text, message, tmp_path):
 
 
 def test_what_is_no_file_of_text_is_refused(tmp_path):
-    for path in (tmp_path, tmp_path / "absent.json", Path("/dev/zero")):
-        with pytest.raises(ScenarioError, match="no such file"):
+    for path, why in (
+        (tmp_path, "is a folder"),
+        (tmp_path / "absent.json", "no such file"),
+        (Path("/dev/zero"), "is a pipe or a device"),
+    ):
+        with pytest.raises(ScenarioError, match=why):
             make_scenario(path)
     (tmp_path / "x.json").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ScenarioError, match="is no JSON"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.evaluation.tracking import BANDS, band_ratios, tracking_figures
-from agents.reporting.report_tracking import tracking_table
+from agents.reporting.report_tracking import TRACKING_COLUMNS, tracking_rows
 from shake_env.simulation.trajectory import Trajectory
 
 STEP, SUBSTEPS = 1e-3, 5
@@ -80,6 +80,6 @@ def test_a_still_table_and_its_row():
     still = tracking_figures(trajectory(a, 0.0 * a, 0.0 * a, 0.0 * a), STEP)
     assert still.acceleration_rms == pytest.approx(1.0) and still.error_energy == pytest.approx(1.0)
     assert still.to_json()["delay"] is None
-    page = tracking_table({"none": [still]}, {"none": "no <control>"}, [0])
-    assert "no &lt;control&gt;" in page and page.count("<td>") == 8 + len(BANDS)
-    assert "<td>100.0</td>" in page
+    (row,) = tracking_rows({"none": [still]}, [0]).values()
+    assert len(row) == len(TRACKING_COLUMNS) == 8 + len(BANDS)
+    assert row[1] == pytest.approx(100.0) and np.isnan(row[6])  # no delay

@@ -24,6 +24,7 @@ from shake_env import (
 )
 from shake_env.errors import FileError, ParameterError, RecordError, ScenarioError
 from shake_env.model.ranges import RANGES
+from shake_env.model.specimens import specimen_from_matrices
 from shake_env.rollout import recorded_earthquakes
 from shake_env.scenario.builder import LATER_FIELDS
 from shake_env.scenario.forms import FORMS
@@ -224,8 +225,8 @@ def test_what_is_no_text_is_refused(tmp_path):
     file.write_bytes(b"#" * 1_000_001)
     with pytest.raises(ScenarioError, match="larger than 1 MB"):
         make_scenario(file)
-    for path in (tmp_path / "none.toml", tmp_path):
-        with pytest.raises(ScenarioError, match="no such file"):
+    for path, why in ((tmp_path / "none.toml", "no such file"), (tmp_path, "is a folder")):
+        with pytest.raises(ScenarioError, match=why):
             make_scenario(path)
 
 
@@ -406,8 +407,66 @@ def test_a_file_that_is_no_scenario_is_not_overwritten(write):
         write_scenario(make_scenario("linear"), file)
     with pytest.raises(ParameterError, match="must end in"):
         write_scenario(make_scenario("linear"), file.with_suffix(".txt"))
-    with pytest.raises(FileError, match="can be written"):
-        write_scenario(make_scenario("linear"), file.parent / "none" / "my.toml")
+    with pytest.raises(FileError, match=r"my\.toml"):
+        write_scenario(make_scenario("linear"), file / "my.toml")
+
+
+MATRICES = """
+[specimen.matrices]
+mass = ["40 kg", "30 kg"]
+stiffness = [["80 kN/m", "-30 kN/m"], ["-30 kN/m", "30 kN/m"]]
+rayleigh_frequencies = ["2 Hz", "8 Hz"]
+rayleigh_damping_ratios = ["3 %", 0.04]
+"""
+
+
+def test_a_structure_is_given_by_matrices_a_file_or_modes(write, tmp_path):
+    mass, stiffness = (40.0, 30.0), [[8e4, -3e4], [-3e4, 3e4]]
+    expected = specimen_from_matrices(mass, stiffness, rayleigh=((2.0, 0.03), (8.0, 0.04)))
+    scenario = make_scenario(write(MATRICES))
+    assert scenario.specimen == expected
+    written = tmp_path / "written.toml"
+    write_scenario(scenario, written)
+    assert make_scenario(written).specimen == expected
+    assert "coupled_stiffnesses = [[" in written.read_text()
+    (tmp_path / "frame.csv").write_text("M\n40,0\n0,30\nK\n8e4,-3e4\n-3e4,3e4\n")
+    ratio = specimen_from_matrices(mass, stiffness, damping_ratio=0.02)
+    text = '[specimen.file]\npath = "frame.csv"\ndamping_ratio = "2 %"\n'
+    assert make_scenario(write(text)).specimen == ratio
+    modes = (
+        '[specimen.modes]\nmasses = ["50 kg", "40 kg"]\nfrequencies = ["2 Hz"]\n'
+        "damping_ratios = [0.01]\nshapes = [[0.5], [1]]\n"
+    )
+    found = make_scenario(write(modes)).specimen
+    assert found.fixed_base_frequencies == pytest.approx([2.0, 6.0])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('["2 Hz", "8 Hz"]', '["2 Hz"]', "give two rayleigh_frequencies"),
+        ('"-30 kN/m", "30 kN/m"', '"-20 kN/m", "30 kN/m"', "must be symmetric"),
+        ('"40 kg"', '"40 m"', "has the unit m, which does not convert to kg"),
+    ],
+)
+def test_a_structure_of_wrong_matrices_is_refused(write, old, new, message):
+    assert old in MATRICES
+    with pytest.raises((ScenarioError, ParameterError), match=message):
+        make_scenario(write(MATRICES.replace(old, new, 1)))
+
+
+def test_a_file_names_its_table_and_says_the_rest_on_top(write, tmp_path):
+    file = write('base = "laboratory"\ntable = "lnec-uniaxial"\ndelay = 3\n')
+    scenario = make_scenario(file)
+    named = make_scenario("laboratory", {"table": "lnec-uniaxial", "delay": 3})
+    assert replace(scenario, name="laboratory") == named
+    written = tmp_path / "written.toml"
+    write_scenario(named, written)
+    assert make_scenario(written) == named
+    own = make_scenario(write('table = "mine"\nactuator.table_mass = "420 kg"\n'))
+    assert own.table == "mine" and own.actuator.table_mass == 420.0
+    with pytest.raises(ScenarioError, match=r"line 3, table = 'lnec': .*lnec-uniaxial"):
+        make_scenario(write('base = "laboratory"\ntable = "lnec"\n'))
 
 
 # Round trip

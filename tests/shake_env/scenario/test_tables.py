@@ -155,7 +155,7 @@ def test_another_table_is_refused_in_words():
         make_scenario("linear", {"table": "lnec"})
     with pytest.raises(ScenarioError, match="carries at most 15 kg"):
         on_table(make_scenario("linear", {"mass_ratio": 3.0}), named_table("quanser-shake-table-ii"))
-    policy = load_policy(shipped_policy("policy", "linear"))
+    policy = load_policy(shipped_policy("ppo", "linear"))
     policy.check(make_scenario())
     with pytest.raises(PolicyFileError, match="trained for; the scenario's is lnec-uniaxial"):
         policy.check(make_scenario("linear", {"table": "lnec-uniaxial"}))
