@@ -178,7 +178,7 @@ def test_entries_are_named_grouped_and_refused(scenario, two_seeds, tmp_path):
     assert (found.name, len(found.policies)) == ("both", 2)
     assert find_entry("ppo", scenario).policies[0].card == load_policy(shipped_policy()).card
     with pytest.raises(ScenarioError, match="did you mean 'ppo'"):
-        find_entry("polcy", scenario)
+        find_entry("ppoo", scenario)
     with pytest.raises(PolicyFileError, match=r"holds no policy\.safetensors or best"):
         find_entry(str(tmp_path), scenario)
     with pytest.raises(PolicyFileError, match="observation size"):
@@ -197,4 +197,4 @@ def test_the_command_writes_what_it_prints(tmp_path, capsys):
     assert json.loads(file.read_text()) == found
     assert found["scenario_options"] == {"scenario": "linear", "duration": 1.0}
     assert main([*words, "--output", str(file)]) == 0
-    assert re.search(r"\| policy \| 1 \| [01]\.", capsys.readouterr().out)
+    assert re.search(r"\| ppo \| 1 \| [01]\.", capsys.readouterr().out)

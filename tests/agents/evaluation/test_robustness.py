@@ -329,7 +329,7 @@ def test_values_in_words():
 def test_a_section_shows_the_table_and_what_was_found(small):
     _, result = small
     text = section(result)
-    assert text.count("**analytic.**") == 1 and markdown(result) in text
+    assert text.count("**apg.**") == 1 and markdown(result) in text
 
 
 def test_a_card_says_where_its_policy_fails(small, tmp_path):

@@ -89,8 +89,8 @@ def test_shipped_policies_are_at_home_on_their_scenarios():
 def test_compare_and_evaluate_warn():
     far = make_scenario("linear", {"mass_ratio": 2.0, "duration": 0.5})
     found = compare(far, ["ppo"], noise=2, records=False)
-    assert len(found.warnings) == 1 and "policy is driven far outside" in found.warnings[0]
-    assert any(note.startswith("Warning: policy") for note in found.notes())
+    assert len(found.warnings) == 1 and "ppo is driven far outside" in found.warnings[0]
+    assert any(note.startswith("Warning: ppo") for note in found.notes())
     near = compare(make_scenario("linear", {"duration": 0.5}), ["ppo"], noise=2, records=False)
     assert near.warnings == []
     result = evaluate(far, [find_entry("ppo", far)], earthquakes=2, repeats=False, resamples=10)

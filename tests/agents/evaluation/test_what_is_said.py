@@ -119,7 +119,7 @@ def test_bench_takes_a_scenario_file_and_notices_that_it_changed(tmp_path, capsy
     def bench(duration, *more):
         scenario = make_scenario("linear", {"duration": duration})
         file.write_text(json.dumps({"name": scenario.name, "fields": scenario_fields(scenario)}))
-        words = ["bench", "--controllers", "none", "--earthquakes", "2", "--results", str(tmp_path)]
+        words = ["benchmark", "--controllers", "none", "--earthquakes", "2", "--results", str(tmp_path)]
         return main([*words, "--scenarios", str(file), *more])
 
     assert bench(0.5, "--json") == 0
@@ -161,15 +161,15 @@ def test_committed_results_are_still_tables():
 
 
 def test_a_result_of_a_scenario_file_is_of_its_content(tmp_path):
-    from agents.evaluation.benchmark import bench, difference, result_file
+    from agents.evaluation.benchmark import difference, result_file, run_benchmark
 
     file = tmp_path / "mine.toml"
     file.write_text('schema = 1\n[motion]\nduration = "0.5 s"\n')
-    result = bench(str(file), 2, ["none"])
+    result = run_benchmark(str(file), 2, ["none"])
     assert result["scenario"] == "mine" and result_file("out", str(file)).name == "bench_mine.json"
     assert difference(result, str(file), 2, ["none"], None) == ""
     file.write_text('schema = 1\ndelay = 1\n[motion]\nduration = "0.5 s"\n')
-    assert "another content" in difference(result, str(file), 2, ["none"], None)
+    assert "another scenario that is called mine" in difference(result, str(file), 2, ["none"], None)
 
 
 def test_the_table_says_where_values_come_from(capsys):

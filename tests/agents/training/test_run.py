@@ -142,7 +142,7 @@ def test_nothing_to_resume_is_said(tmp_path):
 
 
 def test_the_configuration_survives_its_file(tmp_path):
-    config = small("sac", seed=7, horizon=0.5)
+    config = small("sac", seed=7, discount_horizon=0.5)
     (tmp_path / "config.json").write_text(json.dumps(config.to_json()))
     assert read_config(tmp_path) == config
 

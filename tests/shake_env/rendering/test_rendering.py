@@ -397,7 +397,7 @@ def test_watch_says_where_no_window_can_be_seen():
     kept = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     kept.pop("SDL_VIDEODRIVER", None)
     found = subprocess.run(
-        [sys.executable, "-m", "agents", "watch", "--seconds", "0.1"],
+        [sys.executable, "-m", "agents", "play", "--seconds", "0.1"],
         capture_output=True, text=True, env=kept,
     )  # fmt: skip
     assert found.returncode == 2 and found.stdout == ""
