@@ -155,7 +155,7 @@ def save_figure(figure: Figure, folder: str | PathLike[str], name: str) -> list[
     return paths
 
 
-def write_figure(figure: Figure, path: Path) -> None:
+def write_figure(figure: Figure, path: str | PathLike[str]) -> None:
     """Write `figure` as PNG or SVG, as the file's ending says; the same figure has the same bytes.
 
     Raises
@@ -163,6 +163,7 @@ def write_figure(figure: Figure, path: Path) -> None:
     FileError
         If the file cannot be written.
     """
+    path = Path(path)
     kind = path.suffix.removeprefix(".")
     image = io.BytesIO()
     figure.savefig(image, format=kind, metadata={"Date" if kind == "svg" else "Software": None})

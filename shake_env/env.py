@@ -117,7 +117,8 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ``specimen``, ``equations``, ``physics_step``, ``control_rate``, ``acceleration_weight``,
     ``force_weight``, ``current_weight``, ``objective``, ``motion``, ``record``, ``amplitude``,
     ``duration``, ``time_compression``, ``highpass_frequency``, ``current_limit``, ``limits``,
-    ``nonlinearity``, ``delay``, ``uncertainty``, ``sensing``; and any field by its path in ``fields``,
+    ``nonlinearity``, ``delay``, ``uncertainty``, ``sensing``,
+    ``table``; and any field by its path in ``fields``,
     as in ``fields={"nonlinearity.friction.coulomb": 300.0}`` (see ``make_scenario``).
     ``reset(options={"motion": ...})`` takes another motion for one episode.
 

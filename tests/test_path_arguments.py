@@ -12,7 +12,7 @@ from shake_env.records import read_motion, write_record
 
 ROOT = Path(__file__).parents[1]
 # Inside a run directory or behind a command, which make the paths themselves.
-INNER = {"run_directory.py", "output_path.py", "motion.py"}
+INNER = {"run_directory.py", "output_path.py", "motion.py", "files.py", "study_storage.py"}
 
 
 def path_parameters(source):

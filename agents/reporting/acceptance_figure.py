@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,9 @@ from agents.acceptance.clauses import Acceptance
 from agents.figure_style import BLACK, CONTROLLERS, GREY, figure_style, new_figure, save_figure
 
 
-def draw_acceptance(result: Acceptance, folder: Path) -> list[Path]:
+def draw_acceptance(result: Acceptance, folder: str | PathLike[str]) -> list[Path]:
     """Draw the spectra into a folder and return the paths written."""
-    folder.mkdir(parents=True, exist_ok=True)
+    Path(folder).mkdir(parents=True, exist_ok=True)
     rules = result.rules
     with figure_style():
         figure = new_figure(6.0, 3.8)

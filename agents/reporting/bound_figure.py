@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from baselines.planning.bound import OptimalEpisode
 from shake_env.model.parameters import FloatArray
 
 
-def draw_optimum(optimum: OptimalEpisode, folder: Path) -> list[Path]:
+def draw_optimum(optimum: OptimalEpisode, folder: str | PathLike[str]) -> list[Path]:
     """Draw an episode's target, what the best currents make of it, and these; return the files."""
     episode = optimum.episode
     return draw_plan(
@@ -32,7 +33,7 @@ def draw_plan(
     response: FloatArray,
     current: FloatArray,
     steps: tuple[float, float],
-    folder: Path,
+    folder: str | PathLike[str],
     name: str,
 ) -> list[Path]:
     """Draw a plan and return the paths written.
@@ -53,7 +54,7 @@ def draw_plan(
         axes = figure.subplots(3, 1, sharex=True)
         _draw(axes, wanted, response, current, steps)
         axes[0].set_title(title)
-        folder.mkdir(parents=True, exist_ok=True)
+        Path(folder).mkdir(parents=True, exist_ok=True)
         return save_figure(figure, folder, name)
 
 

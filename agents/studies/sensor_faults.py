@@ -166,7 +166,7 @@ def broken_limits(
         action, state = decide(driving, fault(k, observation), state, start)
         wanted = np.nan_to_num(action[:, 0].astype(float), posinf=0.0, neginf=0.0)
         result = simulation.step(np.where(ended, 0.0, wanted))
-        code = np.where(~ended & result.terminated, result.broken, code)
+        code = np.where(~ended & result.terminated, result.broken.astype(int), code)
         ended |= result.terminated | result.truncated
         simulation.rest(ended)
         start, observation = ended.copy(), result.observation

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from os import PathLike
 from pathlib import Path
 
 from stable_baselines3.common.logger import Logger, configure
@@ -13,7 +14,7 @@ from shake_env.files import file_errors
 
 
 @contextmanager
-def event_log(folder: Path) -> Iterator[Logger]:
+def event_log(folder: str | PathLike[str]) -> Iterator[Logger]:
     """Give an SB3 logger that writes tensorboard events into a folder, and close it.
 
     tensorboard writes in a thread of its own. An error there ends the thread with a traceback on
@@ -38,7 +39,7 @@ def event_log(folder: Path) -> Iterator[Logger]:
 
     threading.excepthook = keep
     try:
-        with file_errors(folder):
+        with file_errors(Path(folder)):
             logger = configure(str(folder), ["tensorboard"])
             try:
                 yield logger

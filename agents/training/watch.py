@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -156,8 +157,8 @@ def _reference(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[l
     return [earthquakes[i] for i in lasting], float(np.mean([metrics[i].cost for i in lasting]))
 
 
-def learning_curve(run: Path) -> list[list[float]]:
+def learning_curve(run: str | PathLike[str]) -> list[list[float]]:
     """Return the learning curve so far: steps and cost ratio of each evaluation."""
     # A run that was interrupted evaluates again what its last checkpoint had not seen yet.
-    curve = dict(evaluations(run))
+    curve = dict(evaluations(Path(run)))
     return [[steps, curve[steps]] for steps in sorted(curve)]

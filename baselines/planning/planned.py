@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -45,13 +45,13 @@ class RecordPlan:
     target: FloatArray  # (T, k) [m/s^2]
     shear: FloatArray  # (T, k) of the nominal reference specimen [N]
 
-    def write(self, file: Path) -> None:
+    def write(self, file: str | PathLike[str]) -> None:
         """Write the plan as numpy's .npz."""
         arrays = {name: getattr(self, name) for name in ARRAYS}
         np.savez_compressed(file, name=self.name, digest=self.digest, cost=self.cost, **arrays)
 
     @classmethod
-    def read(cls, file: Path) -> RecordPlan:
+    def read(cls, file: str | PathLike[str]) -> RecordPlan:
         """Read what `write` wrote.
 
         Raises

@@ -138,7 +138,7 @@ def test_a_missing_file_and_an_unknown_parameter_are_refused(tmp_path):
     with pytest.raises(ParameterError, match="there is no such file"):
         read_tuned(tmp_path / "absent.json")
     wrong = TunedValues("mine.json", (entry(CHANGED, "lqg-searched", bandwith=1.0),))
-    with pytest.raises(ScenarioError, match="parameter of free"):
+    with pytest.raises(ScenarioError, match="parameter of lqg-searched"):
         get_controllers(["lqg-searched"], CHANGED, tuned=wrong)
 
 

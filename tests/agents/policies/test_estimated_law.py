@@ -159,7 +159,7 @@ def test_a_window_and_a_file_are_what_the_environment_does(name, memory, tmp_pat
                 # Actions are float32, and the oil column turns their rounding into acceleration.
                 np.testing.assert_allclose(rewards[t], expected, rtol=5e-3, atol=1e-8)
         if number < 5:
-            after, done, _ = model.tables.commit(window)
+            after, done, _ = model.tables.sync_env(window)
             np.testing.assert_allclose(after, shown, rtol=1e-3, atol=1e-3)
             assert (done == begun).all() and done.all() == (number == 4)
             model._last_episode_starts = done
@@ -174,7 +174,7 @@ def test_the_gradient_goes_through_the_estimator():
     model.policy.double()
     for _ in range(3):
         _, window, _ = model.window_loss()
-        model.tables.commit(window)
+        model.tables.sync_env(window)
     start = env.snapshot()
 
     def loss():

@@ -6,7 +6,7 @@ import pytest
 from agents.scenario_options import ScenarioOptions
 from agents.training.artificial_motions import LONGEST, artificial_motions
 from agents.training.config import TrainConfig
-from agents.training.run import training_scenario
+from agents.training.tables import training_scenario
 from shake_env import make_scenario
 from shake_env.errors import ParameterError
 from shake_env.motion.processing import RATED_VELOCITY, SOFT_STROKE

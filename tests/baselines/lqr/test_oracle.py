@@ -38,7 +38,8 @@ def test_knowing_the_plant_beats_knowing_its_middle():
     # design may win by a hair. What knowing is worth is that the cost does not depend on the plant.
     costs, others = (np.array([row.cost for row in rows]) for rows in (knowing, middle))
     assert np.mean(costs) < 0.6 * np.mean(others)
-    assert np.max(costs) < 1.2 * np.min(costs) and np.max(others) > 2.0 * np.min(others)
+    # Earthquakes of 3 s differ by themselves, for both designs alike.
+    assert np.ptp(np.log(others)) > 2.0 * np.ptp(np.log(costs))
     assert np.mean([row.base_shear_rms_error for row in knowing]) < 0.05
 
 

@@ -12,7 +12,7 @@ from baselines.planning.nmpc import NonlinearPredictiveControl
 from shake_env import make_scenario
 from shake_env.controller import decide
 from shake_env.errors import ScenarioError
-from shake_env.rollout import noise_earthquakes, rollout, true_plants
+from shake_env.rollout import noise_earthquakes, rollout, sampled_plants
 from shake_env.scenario.uncertainty import Uniform
 
 
@@ -32,7 +32,7 @@ def test_the_specimen_is_found():
     quakes = noise_earthquakes(scenario, 1, 4_000_002)
     law = Watched(AdaptivePredictiveControl(scenario))
     rows, _ = rollout(law, scenario, quakes)
-    plants = true_plants(scenario, quakes)
+    plants = sampled_plants(scenario, quakes)
     truth = [[p.specimen.mass / p.actuator.table_mass, uniform_frequency(p)] for p in plants]
     found = law.memory[0].estimate.rest[:, -2:] * law.law.parameters.unit
     assert found == pytest.approx(np.array(truth), rel=0.1)
@@ -67,7 +67,7 @@ def test_friction_and_bulk_modulus_are_found():
     law = Watched(AdaptivePredictiveControl(scenario))
     rollout(law, scenario, quakes)
     known = law.law.parameters
-    for row, plant in zip(law.memory[0].estimate.rest, true_plants(scenario, quakes), strict=True):
+    for row, plant in zip(law.memory[0].estimate.rest, sampled_plants(scenario, quakes), strict=True):
         found = dict(zip(known.names, row[-2:] * known.unit, strict=True))
         assert found["coulomb_friction"] == pytest.approx(plant.nonlinearity.friction.coulomb, rel=0.15)
         assert found["bulk_modulus"] == pytest.approx(plant.actuator.bulk_modulus, rel=0.05)

@@ -15,6 +15,7 @@ from shake_env.model.discretization import (
     zero_order_hold,
 )
 from shake_env.model.plant import CoupledPlant, StateSpace, specimen_plant
+from shake_env.model.random_numbers import GROUND, episode_key, normals
 from shake_env.motion.targets import target_history
 from shake_env.simulation.simulation import Simulation
 
@@ -131,7 +132,8 @@ def test_kernel_under_noise_against_physics_steps(name, highpass):
     steps = 300  # past several blocks
     simulation = Simulation(scenario, 1)
     simulation.start([0], [np.random.default_rng(3)])
-    draws = np.random.default_rng(3).standard_normal((steps * k, noise.shape[1]))
+    key = episode_key(np.random.default_rng(3))
+    draws = normals(key, np.arange(steps), GROUND, k * noise.shape[1]).reshape(steps * k, -1)
     actions = np.random.default_rng(4).uniform(-0.3, 0.3, steps)
 
     x, found, expected, states, kernel_states = np.zeros(layout.order), [], [], [], []

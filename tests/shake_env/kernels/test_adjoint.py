@@ -144,7 +144,7 @@ def test_a_window_through_the_compiled_plant_is_the_references(name, overrides, 
         shown = env.observation.shape[1]
         weights = torch.linspace(-0.01, 0.01, shown, dtype=torch.float64, requires_grad=True)
         pushes = iter(0.3 * torch.sin(torch.arange(40, dtype=torch.float64) / 3.0))
-        moved = tables.roll(lambda seen, none: (seen @ weights + next(pushes), none, none), 40)
+        moved = tables.rollout(lambda seen, none: (seen @ weights + next(pushes), none, none), 40)
         (slope,) = torch.autograd.grad(moved.rewards.sum(), weights)
         return moved.rewards.detach().numpy(), moved.state.detach().numpy(), slope.numpy()
 

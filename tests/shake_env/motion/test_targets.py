@@ -10,7 +10,7 @@ from shake_env import RECORD_NAMES, Envelope, FilteredNoise, Record, RecordedMot
 from shake_env.errors import ParameterError, RecordError
 from shake_env.motion.rest import RAMP
 from shake_env.motion.targets import resample, target_history
-from shake_env.simulation.excitation import control_steps
+from shake_env.simulation.motion_shapes import control_steps
 
 
 def made_record(acceleration, interval=0.01, name="made"):
