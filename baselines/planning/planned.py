@@ -9,10 +9,12 @@ knows is the record itself, which a laboratory has before the test; it knows not
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +24,7 @@ from baselines.planning.bound import OptimalEpisode, optimal_episodes
 from baselines.planning.ekf import ExtendedKalmanFilter, TableEstimate, model_error
 from shake_env.dynamics.yielding_reference import YieldingReference
 from shake_env.errors import FileError, ParameterError
+from shake_env.files import write_bytes
 from shake_env.model.parameters import FloatArray
 from shake_env.rollout import Earthquake
 from shake_env.scenario.digest import scenario_digest
@@ -46,9 +49,17 @@ class RecordPlan:
     shear: FloatArray  # (T, k) of the nominal reference specimen [N]
 
     def write(self, file: str | PathLike[str]) -> None:
-        """Write the plan as numpy's .npz."""
+        """Write the plan as numpy's .npz, whole or not at all.
+
+        Raises
+        ------
+        FileError
+            If the file cannot be written.
+        """
         arrays = {name: getattr(self, name) for name in ARRAYS}
-        np.savez_compressed(file, name=self.name, digest=self.digest, cost=self.cost, **arrays)
+        held = io.BytesIO()
+        np.savez_compressed(held, name=self.name, digest=self.digest, cost=self.cost, **arrays)
+        write_bytes(Path(file), held.getvalue())
 
     @classmethod
     def read(cls, file: str | PathLike[str]) -> RecordPlan:

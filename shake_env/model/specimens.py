@@ -149,7 +149,7 @@ def read_specimen(file: str | os.PathLike[str], **damping: Any) -> Specimen:
     path = Path(file)
     try:
         matrices = _mat(path) if path.suffix.lower() == ".mat" else _csv(path)
-    except (OSError, ValueError, NotImplementedError, TypeError) as error:
+    except (OSError, ValueError, RuntimeError, TypeError) as error:  # scipy's RuntimeError: MAT 7.3
         raise FileError("specimen file", str(path), f"cannot be read: {error}") from None
     for name in ("M", "K"):
         if name not in matrices:

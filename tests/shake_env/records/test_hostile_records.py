@@ -194,7 +194,8 @@ def test_a_fifo_is_refused_without_waiting_for_a_writer(tmp_path):
 
 @pytest.mark.parametrize("path", ["/dev/zero", "/dev/null", "/dev/tty", "."])
 def test_what_is_no_regular_file_is_refused(path):
-    if not os.path.exists(path):  # containers and other systems than Linux lack some of the devices
+    if not os.path.exists(path):
+        # Containers and other systems than Linux lack some of the devices: there is nothing to refuse.
         pytest.skip("the system has no such file")
     with pytest.raises(RecordError, match="regular file"):
         read_motion(path)
