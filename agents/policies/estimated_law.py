@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import array_api_compat
@@ -102,6 +103,27 @@ class EstimatedLaw:
         known, shown
             (..., M) for :meth:`keep`, and (..., e).
         """
+        if isinstance(memory, np.ndarray) and isinstance(observation, np.ndarray):
+            both = np.concatenate([memory, observation], axis=-1) @ self._settled.T
+            known, shown = both[..., : self.size], both[..., self.size :]
+            age = np.asarray(age)
+            early = age < len(self.gains) - 1
+            if early.any():  # the gains of these still change
+                known[early], shown[early] = self._weigh(memory[early], observation[early], age[early])
+            return known, shown
+        return self._weigh(memory, observation, age)
+
+    @cached_property
+    def _settled(self) -> FloatArray:
+        """``[known, shown]`` from ``[memory, observation]`` with the last gain, (M + e, M + n)."""
+        estimates, size = self.gains.shape[1], self.size
+        known = np.array(self.advance[:size])
+        known[:estimates] += self.gains[-1] @ self.advance[size:]
+        observation = np.eye(self.observation_size, size + self.observation_size, size)
+        return np.vstack([known, self.show @ np.vstack([known, observation])])
+
+    def _weigh(self, memory: Array, observation: Array, age: Any) -> tuple[Array, Array]:
+        """Weigh the readings at any age, which a gradient goes through."""
         xp = array_api_compat.array_namespace(observation)
         estimates, size = self.gains.shape[1], self.size
         both = xp.concat([memory, observation], axis=-1) @ self.advance.T

@@ -148,8 +148,8 @@ class WindowRollout:
             segment again. Memory is then that of one segment and of H / segment states, least near
             sqrt(H), for one more forward pass. 0: everything is kept.
         parameters
-            What `act` depends on and the sweep takes gradients along; empty, or with segments: torch follows
-            the tables.
+            What `act` depends on and the sweep takes gradients along; empty, or with segments: torch
+            follows the tables.
         """
         simulation = self.env.simulation
         # The sweep in numpy keeps the whole window, so that segments are torch's.
