@@ -114,8 +114,10 @@ def lqr_frontier(scenario: Scenario) -> list[tuple[float, float]]:
             force_weight=float(np.sqrt(ratio)),
         )
         try:
-            found = sampled_lqr(scenario.discrete, weights.coefficients(scenario.plant)).performance
+            performance = sampled_lqr(
+                scenario.discrete, weights.coefficients(scenario.plant)
+            ).performance
         except NumericalError:
             continue  # a corner of the curve without a safe solution is left out
-        points.append((found.acceleration_rms_ratio, found.base_shear_rms_ratio))
+        points.append((performance.acceleration_rms_ratio, performance.base_shear_rms_ratio))
     return points
