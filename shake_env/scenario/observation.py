@@ -81,7 +81,7 @@ class Sensing:
 
     sensors: tuple[Sensor, ...] | None = None  # None: the full state, without noise
     preview: float = 0.0  # [s] how far ahead the target acceleration is known
-    preview_spacing: float | None = None  # [s] between its samples; None: the control period
+    preview_spacing: float | None = None  # [s] between its samples; None: the physics step
     last_action: bool = False  # whether the action of the last control period is shown
     history: int = 0  # earlier control periods whose readings (and last actions) are shown
 
@@ -162,7 +162,7 @@ class Sensing:
         """Whether an observation is the full state and nothing else."""
         return self.full_state and self.preview == 0.0 and not self.last_action
 
-    def preview_steps(self, control_period: float, physics_step: float) -> tuple[int, int]:
+    def preview_steps(self, physics_step: float) -> tuple[int, int]:
         """Return the number of previewed samples and the physics steps between them.
 
         Raises
@@ -170,7 +170,7 @@ class Sensing:
         ParameterError
             If the spacing is no whole number of physics steps, or the preview none of spacings.
         """
-        spacing = control_period if self.preview_spacing is None else self.preview_spacing
+        spacing = physics_step if self.preview_spacing is None else self.preview_spacing
         steps = _whole("preview_spacing", spacing, physics_step, "physics steps")
         return _whole("preview", self.preview, spacing, "spacings"), steps
 

@@ -110,7 +110,7 @@ class Scenario:
             )
         check_resolution(self.actuator, self.specimen, self.ground, self.nonlinearity, self.physics_step)
         self._check_equations()
-        self.sensing.preview_steps(self.control_period, self.physics_step)
+        self.sensing.preview_steps(self.physics_step)
         check_directions("noise_directions", self.noise_directions)
 
     def _check_equations(self) -> None:
@@ -198,7 +198,7 @@ class Scenario:
     @cached_property
     def observation(self) -> ObservationLayout:
         """Where each part of an observation lies."""
-        samples, spacing = self.sensing.preview_steps(self.control_period, self.physics_step)
+        samples, spacing = self.sensing.preview_steps(self.physics_step)
         return ObservationLayout(self.sensing, self.plant, samples, spacing)
 
     @cached_property

@@ -44,7 +44,7 @@ def memory_needed(scenario: Scenario, lanes: int) -> int:
         + k * (commands + 1)
     )
     plants = lanes if scenario.uncertainty.active else 1
-    samples, spacing = scenario.sensing.preview_steps(scenario.control_period, scenario.physics_step)
+    samples, spacing = scenario.sensing.preview_steps(scenario.physics_step)
     slots = 1 + math.ceil(samples * spacing / k)  # of the ring of periods
     readings = 0 if scenario.sensing.full_state else len(scenario.sensing.sensors or ()) + stories
     observation = scenario.observation.size

@@ -137,8 +137,8 @@ def test_preview_is_the_target_that_comes(preview, spacing, shown):
     target = np.concatenate([result.ground.target.T for result in results])
     unit = np.sqrt(scenario.plant.target_variance)
     shown_ahead = np.concatenate([first[None], seen])[:, :, layout.preview] * unit
-    stride = round((spacing or 0.005) / 0.001)
-    assert shown_ahead.shape[-1] == round(preview / (spacing or 0.005))
+    stride = round((spacing or 0.001) / 0.001)  # None: the physics step
+    assert shown_ahead.shape[-1] == round(preview / (spacing or 0.001))
     for step in range(0, 200):
         for sample in range(shown_ahead.shape[-1]):
             at = step * 5 + (sample + 1) * stride - 1
