@@ -203,7 +203,7 @@ def _flow_of_velocity(scenario: Scenario) -> float:
 
 CLIP = 20.0  # far outside what a working controller meets
 ERROR_SHARE = 0.3  # errors of a table under control are of the order of 10 to 40 % of the target
-# Of its rms, the target changes by this over 5 ms. White noise is its slope: over other times by the root.
+# Of its rms, the target changes by this over 5 ms. Its slope is white noise: over other times, the root.
 PREVIEW_SHARE, PREVIEW_SPACING = 0.4, 5e-3  # [-], [s]
 FINE = 2  # control periods to come of which every previewed sample is an input
 FLOW_SHARE = 0.03  # the oil is stiff: of the flow through the valve a few percent compress it

@@ -85,7 +85,7 @@ class EstimatedLaw:
         """Return this law as it reads an observation (..., size) whose `places` (n,) are its own."""
         first = self.size
         columns = np.concatenate([np.arange(first), first + places])
-        parts = {}
+        parts: dict[str, Any] = {}
         for name in ("advance", "show"):
             matrix = getattr(self, name)
             parts[name] = np.zeros((len(matrix), first + size))

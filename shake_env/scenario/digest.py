@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from shake_env.motion.targets import FilteredNoise, MotionSet, RecordedMotion
+from shake_env.scenario.observation import Sensor
 from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import Scenario
 
@@ -89,6 +90,8 @@ def _canonical(value: Any, path: str) -> Any:
 def _parts(value: Any, path: str, *left_out: str) -> dict[str, Any]:
     names = [f.name for f in fields(value) if f.name not in left_out]
     plain = {name: _canonical(getattr(value, name), f"{path}.{name}") for name in names}
+    if plain.get("lowpass_frequency") is not None and isinstance(value, Sensor):
+        plain["lowpass"] = "analogue"  # in version 1 it was sampled at the control rate
     kinds = [kind for motion, kind in _MOTION_KINDS if isinstance(value, motion)]
     return _without_empty(plain) | ({"kind": kinds[0]} if kinds else {})
 

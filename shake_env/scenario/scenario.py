@@ -126,6 +126,10 @@ class Scenario:
         if self.equations != ModelEquations() and any(asked.values()):
             name = next(name for name, given in asked.items() if given)
             raise ScenarioError(name, getattr(self, name), 'needs equations="corrected"')
+        for sensor in self.sensing.sensors or ():
+            if self.equations != ModelEquations() and sensor.lowpass_frequency is not None:
+                path = f"sensing.sensors.{sensor.signal}.lowpass_frequency"
+                raise ScenarioError(path, sensor.lowpass_frequency, 'needs equations="corrected"')
         valve = self.nonlinearity.valve
         if self.uncertainty.valve_time_constant and valve.natural_frequency is not None:
             raise ScenarioError(

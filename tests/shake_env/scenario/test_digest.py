@@ -20,8 +20,8 @@ from shake_env.scenario.scenario import Scenario
 KNOWN = {
     "linear": "1:70922dbd7faba8ab018f5e2039ee6bc1",
     "as-printed": "1:3419294be51bc151b12be015499507c8",
-    "laboratory": "1:ea52c474d66a7fb07dad19ea38bcdce2",
-    "unknown-specimen": "1:a969fffeab391bb1c1cce0d4de7374ca",
+    "laboratory": "1:a3582603ffc18270c78ab8bf877a09c3",
+    "unknown-specimen": "1:3f163bb059641cd05ebf3238a4d35ff3",
     "yielding": "1:cea78752ed51f8fcb405ce8c5fcfa21b",
 }
 
