@@ -123,8 +123,7 @@ def policy_files(path: str | PathLike[str]) -> list[Path]:
 def _learned(name: str, files: Sequence[Path], scenario: Scenario) -> Entry:
     policies, sources = [], []
     for file in files:
-        policy = load_policy(file)
-        policy.check(scenario)
+        policy = load_policy(file).reading(scenario)
         config = policy.card.get("config", {})
         policies.append(policy)
         sources.append(

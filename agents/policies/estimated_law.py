@@ -15,6 +15,7 @@ from typing import Any
 
 import array_api_compat
 import numpy as np
+from numpy.typing import NDArray
 
 from baselines.estimation.lqg import EstimatedState
 from baselines.lqr.preview import PreviewFeedback
@@ -80,6 +81,17 @@ class EstimatedLaw:
     def shown(self) -> int:
         """Number e of entries that it shows."""
         return int(self.show.shape[0])
+
+    def reading(self, places: NDArray[np.intp], size: int) -> EstimatedLaw:
+        """Return this law as it reads an observation (..., size) whose `places` (n,) are its own."""
+        first = self.size
+        columns = np.concatenate([np.arange(first), first + places])
+        parts: dict[str, Any] = {}
+        for name in ("advance", "show"):
+            matrix = getattr(self, name)
+            parts[name] = np.zeros((len(matrix), first + size))
+            parts[name][:, columns] = matrix
+        return replace(self, **parts)
 
     def like(self, array: Array) -> EstimatedLaw:
         """Return this law in the library, precision and device of `array`."""

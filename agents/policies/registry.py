@@ -139,9 +139,7 @@ def get_controller(
         if parameters is None:
             parameters = parameter_values(entry.name, scenario).parameters
         return designed(entry.name, baseline, scenario, parameters, earthquakes)
-    policy = load_policy(policy_path(entry.name, known_name(scenario)))
-    policy.check(scenario)
-    return policy
+    return load_policy(policy_path(entry.name, known_name(scenario))).reading(scenario)
 
 
 def get_driven(

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from baselines.planning.bound import OptimalEpisode, optimal_episodes
 from baselines.planning.ekf import ExtendedKalmanFilter, TableEstimate, model_error
+from shake_env.dynamics.low_pass import first_low_pass
 from shake_env.dynamics.yielding_reference import YieldingReference
 from shake_env.errors import FileError, ParameterError
 from shake_env.files import write_bytes
@@ -162,9 +163,12 @@ class PlannedControl:
             nominal(scenario), model_error(scenario, model_error_scale)
         )
         model = self.filter.model
-        # Where a plan's states, which hold no disturbances, lie in the filter's.
-        free = model.order - model.disturbances
-        self._places = np.r_[:free, model.order : model.states]
+        # Where a plan's states, which hold no disturbances and low-passes, lie in the filter's.
+        low_passes = first_low_pass(scenario.plant, scenario.parts) + np.arange(
+            len(scenario.observation.low_passes)
+        )
+        disturbances = np.arange(model.order - model.disturbances, model.order)
+        self._places = np.setdiff1d(np.arange(model.states), np.r_[low_passes, disturbances])
         self._length = np.array([len(plan.current) for plan in plans])
         longest = int(self._length.max())
         n = len(self._places)

@@ -110,7 +110,7 @@ class Scenario:
             )
         check_resolution(self.actuator, self.specimen, self.ground, self.nonlinearity, self.physics_step)
         self._check_equations()
-        self.sensing.preview_steps(self.control_period, self.physics_step)
+        self.sensing.preview_steps(self.physics_step)
         check_directions("noise_directions", self.noise_directions)
 
     def _check_equations(self) -> None:
@@ -126,6 +126,10 @@ class Scenario:
         if self.equations != ModelEquations() and any(asked.values()):
             name = next(name for name, given in asked.items() if given)
             raise ScenarioError(name, getattr(self, name), 'needs equations="corrected"')
+        for sensor in self.sensing.sensors or ():
+            if self.equations != ModelEquations() and sensor.lowpass_frequency is not None:
+                path = f"sensing.sensors.{sensor.signal}.lowpass_frequency"
+                raise ScenarioError(path, sensor.lowpass_frequency, 'needs equations="corrected"')
         valve = self.nonlinearity.valve
         if self.uncertainty.valve_time_constant and valve.natural_frequency is not None:
             raise ScenarioError(
@@ -198,7 +202,7 @@ class Scenario:
     @cached_property
     def observation(self) -> ObservationLayout:
         """Where each part of an observation lies."""
-        samples, spacing = self.sensing.preview_steps(self.control_period, self.physics_step)
+        samples, spacing = self.sensing.preview_steps(self.physics_step)
         return ObservationLayout(self.sensing, self.plant, samples, spacing)
 
     @cached_property

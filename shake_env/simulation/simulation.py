@@ -70,7 +70,7 @@ class Simulation:
             model=self.model,
             maps=maps,
             lanes=lanes,
-            preview=scenario.sensing.preview_steps(period, scenario.physics_step),
+            preview=scenario.sensing.preview_steps(scenario.physics_step),
             limit_rate=scenario.limits.cost_factor * scenario.stage_cost.motionless(scenario.plant),
             limit_steps=math.inf if horizon is None else max(1, round(horizon / period)),
             threads=threads,
