@@ -19,7 +19,7 @@ from shake_env.scenario.presets import laboratory_noise
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty
 from shake_env.simulation.metrics import EpisodeMetrics, Sums
-from shake_env.simulation.simulation import Simulation, checked_action
+from shake_env.simulation.simulation import Simulation, checked_action, earthquake_stream
 from shake_env.simulation.trajectory import Recorder, Trajectory
 
 
@@ -125,7 +125,7 @@ def rollout(
     simulation = Simulation(scenario, lanes)
     observation = simulation.start(
         range(lanes),
-        [np.random.default_rng(e.seed) for e in earthquakes],
+        [earthquake_stream(e.seed) for e in earthquakes],
         [e.motion for e in earthquakes],
     )
     steps = int(simulation.episode_steps.max())
@@ -163,7 +163,7 @@ def sampled_plants(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> lis
         return [scenario] * len(earthquakes)
     plants = []
     for quake in earthquakes:
-        stream = np.random.default_rng(quake.seed)
+        stream = earthquake_stream(quake.seed)
         quake.motion.pick(stream)  # a set of motions draws before the plant does
         plants.append(replace(scenario.drawn(stream), uncertainty=Uncertainty()))
     return plants

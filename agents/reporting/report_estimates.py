@@ -14,6 +14,7 @@ from shake_env.errors import NumericalError
 from shake_env.model.parameters import ModelEquations
 from shake_env.rollout import Earthquake
 from shake_env.scenario.scenario import Scenario
+from shake_env.simulation.simulation import earthquake_stream
 from shake_env.simulation.trajectory import Trajectory
 
 FloatArray = NDArray[np.float64]
@@ -84,7 +85,7 @@ class Drawn:
         """Repeat the draws of `Simulation.start`: the motion first, then the plant."""
         rows = []
         for quake in earthquakes:
-            stream = np.random.default_rng(quake.seed)
+            stream = earthquake_stream(quake.seed)
             quake.motion.pick(stream)
             rows.append(scenario.uncertainty.sample(stream))
         names = rows[0].keys() if rows else ()

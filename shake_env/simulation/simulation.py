@@ -200,6 +200,15 @@ def _engine(tables: Tables) -> Engine:
     return engine
 
 
+def earthquake_stream(seed: int) -> np.random.Generator:
+    """Return the stream of the episode that is a seed's earthquake: motion, plant and every noise.
+
+    The one map from seeds to earthquakes. The protocol's earthquake S and the first episode after
+    ``reset(seed=S)`` of an environment are both this.
+    """
+    return np.random.default_rng(seed)
+
+
 def episode_stream(generator: np.random.Generator) -> np.random.Generator:
     """Return the stream of a lane's next episode.
 

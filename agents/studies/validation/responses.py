@@ -28,6 +28,7 @@ from shake_env.rollout import (
 from shake_env.scenario.limits import Limits
 from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.excitation import Excitation
+from shake_env.simulation.simulation import earthquake_stream
 from shake_env.simulation.trajectory import Trajectory
 
 HIGHPASS = 0.5  # [Hz] of the third group: without it the target's displacement has no bound
@@ -154,7 +155,7 @@ def smooth_target(scenario: Scenario, quake: Earthquake, samples: int) -> FloatA
     fine = replace(scenario, control_rate=1.0 / step)
     ground = scenario.ground
     excitation = Excitation(fine.discrete, 1, finer=scenario.substeps)
-    key = episode_key(np.random.default_rng(quake.seed))
+    key = episode_key(earthquake_stream(quake.seed))
     excitation.start([0], [quake.motion], [key])
     velocity = np.zeros(samples + 1)
     for j in range(samples):
