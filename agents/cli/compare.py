@@ -61,6 +61,9 @@ class Compare(FolderOptions):
     )
     safety_supervisor: bool = False
     """Whether a supervisor keeps every controller within the scenario's hard limits."""
+    bound: bool = False
+    """Whether the true bound of each earthquake is computed, the least cost over all currents: 1 s of an
+    earthquake, up to 10 s of a record. What was computed is kept in the user's cache."""
     report: Path | None = None
     """Folder for a report: one page to open in a browser, and its figures as SVG and PNG."""
     robustness: Path | None = None
@@ -106,8 +109,9 @@ class Compare(FolderOptions):
                 motions=motions,
                 supervised=self.safety_supervisor,
                 tuned=tuned_values(self.tuned),
+                bound=self.bound,
                 on_progress=on_progress,
-                **({} if gathered is None else {"on_histories": gathered}),
+                on_histories=gathered or (lambda controller, histories: None),
             )
         settings = plain(asdict(self))
         print_tables(result, console)

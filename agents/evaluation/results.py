@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import shake_env
+from agents.evaluation.bound_store import Bounds
 from agents.evaluation.controller_set import describe_values, values_to_json
 from agents.evaluation.fidelity import Fidelity
 from agents.evaluation.tracking import BANDS, TrackingFigures
@@ -31,12 +32,17 @@ class Column:
 COLUMNS: dict[str, Column] = {
     "controller": Column("", "name of the controller"),
     "group": Column("", "motions, records or filtered noise"),
+    "information": Column("", "what the controller knows of the motion"),
     "earthquake": Column("", "name of the earthquake"),
     "earthquakes": Column("1", "number of earthquakes in the group"),
     "cost": Column("-", "mean stage cost over the motion, a broken limit's included"),
     "relative_cost": Column("-", "summed cost over the reference's on the same earthquakes"),
     "relative_cost_low": Column("-", "lower end of its 95 % bootstrap interval"),
     "relative_cost_high": Column("-", "upper end of it"),
+    "bound_cost": Column("-", "summed cost over the true bound's; NaN where no bound was asked for"),
+    "bound_cost_low": Column("-", "lower end of its 95 % bootstrap interval"),
+    "bound_cost_high": Column("-", "upper end of it"),
+    "regret_closed": Column("-", "share of the reference's cost above the bound that is saved"),
     "mean_cost": Column("-", "mean over earthquakes of the mean stage cost"),
     "acceleration_rms_error": Column("-", "rms of y_A - y~ over the target's rms"),
     "acceleration_peak_error": Column("-", "peak of abs(y_A - y~) over the target's peak"),
@@ -133,6 +139,11 @@ class GroupSummary:
     decision_time: float  # [s] of the processor, median of one decision for one table; NaN: prepared
     tests: int  # of each earthquake that it takes, the one that counts included
     damage: float  # median energy of the tests before that over one perfect test's [-]; NaN: none
+    information: str = "-"  # class of what it knows of the motion, see `baselines.information`
+    bound_cost: float = float("nan")  # summed cost over the true bound's [-]; NaN: not asked for
+    bound_cost_low: float = float("nan")
+    bound_cost_high: float = float("nan")
+    regret_closed: float = float("nan")  # share of the reference's cost above the bound that is saved
 
     def cost_text(self) -> str:
         """Return the relative cost with its interval; of one earthquake without."""
@@ -155,6 +166,8 @@ class Comparison:
     values: dict[str, ParameterValues] = field(default_factory=dict)  # by controller, with their source
     warnings: list[str] = field(default_factory=list)  # policies far from what they were trained on
     tracking: dict[str, list[TrackingFigures]] = field(default_factory=dict)  # as `fidelities`
+    bounds: Bounds | None = None  # true bound of each earthquake, in their order; None: not asked for
+    information: str = "causal"  # class of what the scenario shows
 
     def to_json(self, settings: dict[str, Any]) -> dict[str, Any]:
         """Return everything but the traces as plain JSON values."""
@@ -181,6 +194,8 @@ class Comparison:
             "interventions": self.interventions,
             "values": values_to_json(self.values),
             "warnings": self.warnings,
+            "bound": None if self.bounds is None else self.bounds.to_json(),
+            "information": self.information,
         }
 
     def notes(self) -> list[str]:

@@ -12,8 +12,9 @@ import numpy as np
 from rich.console import Console
 
 from agents.evaluation.fidelity import Fidelity
-from agents.evaluation.results import Comparison, GroupSummary
+from agents.evaluation.results import Comparison, GroupSummary, cost_text
 from agents.figure_style import save_figure, tracking_figure
+from agents.reporting.bound_notes import bound_notes, class_note, marked
 from agents.reporting.csv_file import write_csv
 from agents.reporting.terminal import print_table
 from shake_env.files import write_json
@@ -26,15 +27,23 @@ def print_tables(comparison: Comparison, console: Console) -> None:
     ended = any(summary.broken_limits for summary in comparison.summaries)
     for group in groups:
         rows = [summary for summary in comparison.summaries if summary.group == group]
-        columns = [column for column in COLUMNS if column[0] != "ended" or ended]
+        bounded = any(np.isfinite(row.bound_cost) for row in rows)
+        shown = {"ended": ended, BOUND_HEADING: bounded, "regret\nclosed %": bounded}
+        columns = [column for column in COLUMNS if shown.get(column[0], True)]
         headings = [heading.format(reference=_label(comparison.reference)) for heading, _ in columns]
         cells = [
-            [_label(row.controller), *(cell(row, comparison.reference) for _, cell in columns)]
+            [
+                _label(row.controller),
+                marked(row.information, comparison.information),
+                *(cell(row, comparison.reference) for _, cell in columns),
+            ]
             for row in rows
         ]
         number = rows[0].earthquakes
         title = f"{group}, {number} earthquake{'s' if number != 1 else ''}"
-        print_table(console, ["controller", *headings], cells, title=title)
+        print_table(console, ["controller", "information", *headings], cells, title=title, left=(1,))
+    for note in comparison_notes(comparison):
+        console.print(note, highlight=False)
     console.print(
         f"Cost: summed over the group, relative to {_label(comparison.reference)}'s on the same "
         "earthquakes; 95 % bootstrap interval over earthquakes. Errors: relative to the target's own "
@@ -55,6 +64,16 @@ def print_tables(comparison: Comparison, console: Console) -> None:
         console.print(f"Left out: {left_out}.", style="yellow")
 
 
+def comparison_notes(comparison: Comparison) -> list[str]:
+    """Return in sentences what the bound and the classes of information in the tables are."""
+    classes = [row.information for row in comparison.summaries]
+    notes = class_note(classes, comparison.information)
+    if comparison.bounds is None:
+        return notes
+    bound = comparison.bounds.to_json()
+    return [*bound_notes(bound, len(comparison.groups)), *notes]
+
+
 def damage_note(row: GroupSummary) -> str:
     """Return what a controller that repeats its tests took from the specimen, in words."""
     return (
@@ -65,6 +84,10 @@ def damage_note(row: GroupSummary) -> str:
 
 def _cost(row: GroupSummary, reference: str) -> str:
     return "1" if row.controller == reference else row.cost_text()
+
+
+def _bound_cost(row: GroupSummary, reference: str) -> str:
+    return cost_text(row.bound_cost, row.bound_cost_low, row.bound_cost_high)
 
 
 def _figure(name: str, scale: float, digits: int) -> Callable[[GroupSummary, str], str]:
@@ -78,12 +101,15 @@ def _figure(name: str, scale: float, digits: int) -> Callable[[GroupSummary, str
 
 
 # Heading and cell of each column. The order is of worth: a narrow terminal gets the last ones below.
+BOUND_HEADING = "cost / bound\n[95 %]"
 COLUMNS: tuple[tuple[str, Callable[[GroupSummary, str], str]], ...] = (
     ("cost / {reference}\n[95 %]", _cost),
+    (BOUND_HEADING, _bound_cost),
     ("accel.\nrms %", _figure("acceleration_rms_error", 100.0, 1)),
     ("accel.\npeak %", _figure("acceleration_peak_error", 100.0, 1)),
     ("shear\nrms %", _figure("base_shear_rms_error", 100.0, 1)),
     ("shear\npeak %", _figure("base_shear_peak_error", 100.0, 1)),
+    ("regret\nclosed %", _figure("regret_closed", 100.0, 0)),
     ("lag\nms", _figure("delay", 1e3, 1)),
     ("ended", _figure("broken_limits", 1.0, 0)),
     ("spectrum\n%", _figure("spectral_error", 100.0, 0)),

@@ -41,7 +41,7 @@ class Plan(FolderOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Plan, write, draw."""
-        from agents.reporting.bound_figure import draw_plan
+        from agents.reporting.figures.bound import draw_plan
         from baselines.planning.planned import plan_records
         from shake_env.records import RECORD_NAMES
         from shake_env.rollout import recorded_earthquakes
