@@ -27,6 +27,7 @@ from baselines.lqr.multi_model import drawn_models, multi_model_lqr
 from baselines.lqr.preview import PreviewFeedback, with_preview
 from baselines.lqr.sampled import LinearFeedback, lqr
 from baselines.planning.adaptive import AdaptivePredictiveControl
+from baselines.planning.model import PlanningModel
 from baselines.planning.nmpc import NMPCSettings, NonlinearPredictiveControl
 from baselines.planning.planned import PlannedControl, plan_records
 from baselines.servo.disturbance_observer import DisturbanceObserver, ObserverDesign
@@ -75,15 +76,22 @@ class Baseline:
     tunable: Mapping[str, Tunable] = field(default_factory=dict)
     tests: int = 1  # of each earthquake that using it takes, the one that counts included
     knows_motion: bool = False  # whether the whole motion is known before the test
+    check: Callable[[Scenario], object] | None = None  # raises where a scenario does not suit, at once
     uses_preview: bool = True  # whether it, or its estimator, uses the coming samples that are shown
 
-    def information(self, scenario: Scenario) -> Information:
-        """Return the class of what it knows of the motion on a scenario."""
+    @property
+    def class_name(self) -> Information:
+        """Class of what it knows of the motion where the scenario shows a preview."""
         if self.tests > 1:
             return "repeated tests"
         if self.knows_motion:
             return "record known"
-        return scenario_information(scenario) if self.uses_preview else "causal"
+        return "preview" if self.uses_preview else "causal"
+
+    def information(self, scenario: Scenario) -> Information:
+        """Return the class of what it knows of the motion on a scenario."""
+        own = self.class_name
+        return scenario_information(scenario) if own == "preview" else own
 
     @property
     def takes_earthquakes(self) -> bool:
@@ -353,6 +361,7 @@ BASELINES: dict[str, Baseline] = {
         "the whole motion planned before the test, with feedback along the plan",
         {"model_error_scale": Tunable(0.003, 30.0, 0.1, natural="low")},
         knows_motion=True,
+        check=PlanningModel.of,
     ),
     "multi-model": Baseline(
         _multi_model,

@@ -73,7 +73,7 @@ class Compare(FolderOptions):
     def run(self, console: Console) -> dict[str, Any]:
         """Compare, print, write."""
         from agents.evaluation.comparison import compare
-        from agents.reporting.comparison_tables import print_tables, write_files
+        from agents.reporting.comparison_tables import print_tables, print_verdict, write_files
         from agents.reporting.report import HistoryCollector, make_report
         from agents.reporting.report_page import write_report
         from agents.reporting.robustness_tables import read_robustness
@@ -115,6 +115,7 @@ class Compare(FolderOptions):
             )
         settings = plain(asdict(self))
         print_tables(result, console)
+        print_verdict(result, scenario, console)
         if folder is not None:
             for path in write_files(result, settings, folder):
                 console.print(f"wrote {path}")

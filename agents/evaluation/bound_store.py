@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.planning.bound import OptimalEpisode, Start, optimal_episodes
+from baselines.planning.bound import THREADS, OptimalEpisode, Start, optimal_episodes
 from baselines.planning.episodes import Episode, episodes
 from shake_env.errors import FileError, ScenarioError, ShakeError
 from shake_env.files import write_json
@@ -32,7 +32,6 @@ from shake_env.scenario.digest import scenario_digest
 from shake_env.scenario.observation import Sensing
 from shake_env.scenario.scenario import Scenario
 
-THREADS = 2  # optima searched side by side: the compiled search holds no lock
 BATCH = 32  # earthquakes whose trajectories are in memory at a time
 SOLVER_TOLERANCE = 1e-4  # [-] of the cost, what the search may leave beside what its starts differ by
 # What a bound depends on besides the episode: the code that searches it.

@@ -165,7 +165,7 @@ def compare(
     return Comparison(
         summaries, episodes, fidelities, traces, reference, name, chosen.skipped, shares, of_each,
         chosen.values, [*chosen.warnings, *repeats(earthquakes)], tracking, bounds,
-        scenario_information(scenario),
+        scenario_information(scenario), scenario.input_unit,
     )  # fmt: skip
 
 

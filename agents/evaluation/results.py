@@ -48,7 +48,7 @@ COLUMNS: dict[str, Column] = {
     "acceleration_peak_error": Column("-", "peak of abs(y_A - y~) over the target's peak"),
     "base_shear_rms_error": Column("-", "rms of f_s - f~_s over the reference's rms"),
     "base_shear_peak_error": Column("-", "peak of abs(f_s - f~_s) over the reference's peak"),
-    "peak_current": Column("A", "largest valve current"),
+    "peak_current": Column("A", "largest valve current; of a table driven in volts its input [V]"),
     "peak_velocity": Column("m/s", "largest table velocity"),
     "peak_displacement": Column("m", "largest table displacement"),
     "broken_limit": Column("", "what ended the episode early; None where nothing did"),
@@ -108,8 +108,16 @@ def to_frame(comparison: Comparison, rows: Rows = "episodes") -> DataFrame:
         frame = pandas.concat(parts, ignore_index=True)
     else:
         raise ParameterError("rows", rows, "known: episodes, summaries, traces")
-    frame.attrs["units"] = {str(name): COLUMNS[str(name)].unit for name in frame.columns}
+    units = {str(name): COLUMNS[str(name)].unit for name in frame.columns}
+    if "peak_current" in units:
+        units["peak_current"] = comparison.input_unit
+    frame.attrs["units"] = units
     return frame
+
+
+def drive_column(input_unit: str) -> tuple[str, str, float]:
+    """Return what a table's input is called, its unit in tables, and how many of it the SI unit has."""
+    return ("current", "mA", 1e3) if input_unit == "A" else ("input", input_unit, 1.0)
 
 
 @dataclass(frozen=True)
@@ -168,6 +176,7 @@ class Comparison:
     tracking: dict[str, list[TrackingFigures]] = field(default_factory=dict)  # as `fidelities`
     bounds: Bounds | None = None  # true bound of each earthquake, in their order; None: not asked for
     information: str = "causal"  # class of what the scenario shows
+    input_unit: str = "A"  # of the table's input
 
     def to_json(self, settings: dict[str, Any]) -> dict[str, Any]:
         """Return everything but the traces as plain JSON values."""

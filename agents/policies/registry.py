@@ -49,6 +49,7 @@ class ControllerEntry:
     kind: Literal["classical", "oracle", "shipped", "own", "file"]
     summary: str = ""
     tests: int = 1  # of each earthquake that using it takes, the one that counts included
+    knows_motion: bool = False  # whether it is planned for a motion before the test
 
     @property
     def is_designed(self) -> bool:
@@ -58,14 +59,15 @@ class ControllerEntry:
     @property
     def needs_earthquakes(self) -> bool:
         """Whether it is made for given earthquakes, not for any."""
-        return self.kind == "oracle" or self.tests > 1
+        return self.kind == "oracle" or self.tests > 1 or self.knows_motion
 
 
 @lru_cache
 def controllers() -> dict[str, ControllerEntry]:
     """Return every controller that has a name, classical ones first."""
     entries = [
-        ControllerEntry(name, "classical", each.summary, each.tests) for name, each in BASELINES.items()
+        ControllerEntry(name, "classical", each.summary, each.tests, each.knows_motion)
+        for name, each in BASELINES.items()
     ]
     entries += [ControllerEntry(name, "classical", summary) for name, summary in SUMMARIES.items()]
     entries.append(

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 import shake_env
 from agents.evaluation.bootstrap import mean_interval
-from agents.evaluation.results import GroupSummary
+from agents.evaluation.results import GroupSummary, drive_column
 from agents.figure_style import figure_style
 from agents.policies.registry import ORACLE
 from agents.reporting.bound_notes import marked
@@ -31,6 +31,7 @@ from agents.reporting.report_figures import stills
 from agents.reporting.report_tracking import TRACKING_COLUMNS, tracking_rows
 from agents.reporting.robustness_figures import figures
 from agents.reporting.robustness_tables import findings, label
+from agents.reporting.summary_text import QUESTIONS
 from shake_env.files import write_text
 
 ROBUSTNESS_FIGURES = (
@@ -82,6 +83,8 @@ def page(report: Report, stills: Sequence[str]) -> str:
         changed=None if report.unlike is None else _robustness(report.unlike),
         stills=stills,
         oracle=ORACLE,
+        questions=QUESTIONS,
+        drive=drive_column(report.scenario.input_unit),
         notes=comparison_notes(comparison),
         version=shake_env.__version__,
         script=script,

@@ -17,6 +17,7 @@ from agents.evaluation.results import Comparison, GroupSummary
 from agents.policies.registry import ORACLE
 from shake_env.scenario.scenario import Scenario
 
+QUESTIONS = ("Who wins", "Where it loses", "What limits it")
 NEAR = 0.9  # share of a limit from which on it counts as what limits a test
 ERRORS = {"acceleration": "acceleration_rms_error", "base shear": "base_shear_rms_error"}
 

@@ -29,6 +29,7 @@ from shake_env.model.parameters import FloatArray
 from shake_env.rollout import Earthquake
 from shake_env.scenario.scenario import Scenario
 
+THREADS = 2  # earthquakes that are searched at a time where there are many; no lock is held meanwhile
 ITERATIONS = 80
 TOLERANCE = 1e-5  # [-] of the cost: two iterations that save less end the search
 PLACES = (0.01, 0.05)  # [m] what the starting laws weigh an error of place with; see `preview_lqr`

@@ -88,7 +88,9 @@ class Plan(FolderOptions):
                 title = f"{plan.name}: planned, stage cost {plan.cost:.4g}"
                 steps = (scenario.physics_step, scenario.control_period)
                 wanted = (plan.target, plan.shear)
-                drawn = draw_plan(title, wanted, plan.response, plan.current, steps, folder, stem)
+                drawn = draw_plan(
+                    title, wanted, plan.response, plan.current, steps, folder, stem, scenario.input_unit
+                )
                 for path in drawn:
                     console.print(escape(f"wrote {path}"))
         return result
