@@ -35,7 +35,7 @@ ROOMS = """
     baselines/planning
     baselines/estimation
     baselines/lqr
-    baselines/batch_controllers
+    baselines/batch_controllers baselines/information
     shake_env/__init__
     shake_env/vector_env
     shake_env/env

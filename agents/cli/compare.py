@@ -61,6 +61,9 @@ class Compare(FolderOptions):
     )
     safety_supervisor: bool = False
     """Whether a supervisor keeps every controller within the scenario's hard limits."""
+    bound: bool = False
+    """Whether the true bound of each earthquake is computed, the least cost over all currents: 1 s of an
+    earthquake, up to 10 s of a record. What was computed is kept in the user's cache."""
     report: Path | None = None
     """Folder for a report: one page to open in a browser, and its figures as SVG and PNG."""
     robustness: Path | None = None
@@ -70,7 +73,7 @@ class Compare(FolderOptions):
     def run(self, console: Console) -> dict[str, Any]:
         """Compare, print, write."""
         from agents.evaluation.comparison import compare
-        from agents.reporting.comparison_tables import print_tables, write_files
+        from agents.reporting.comparison_tables import print_tables, print_verdict, write_files
         from agents.reporting.report import HistoryCollector, make_report
         from agents.reporting.report_page import write_report
         from agents.reporting.robustness_tables import read_robustness
@@ -106,11 +109,13 @@ class Compare(FolderOptions):
                 motions=motions,
                 supervised=self.safety_supervisor,
                 tuned=tuned_values(self.tuned),
+                bound=self.bound,
                 on_progress=on_progress,
-                **({} if gathered is None else {"on_histories": gathered}),
+                on_histories=gathered or (lambda controller, histories: None),
             )
         settings = plain(asdict(self))
         print_tables(result, console)
+        print_verdict(result, scenario, console)
         if folder is not None:
             for path in write_files(result, settings, folder):
                 console.print(f"wrote {path}")

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.planning.bound import OptimalEpisode, optimal_episodes
+from baselines.planning.bound import THREADS, OptimalEpisode, optimal_episodes
 from baselines.planning.ekf import ExtendedKalmanFilter, TableEstimate, model_error
 from shake_env.dynamics.low_pass import first_low_pass
 from shake_env.dynamics.yielding_reference import YieldingReference
@@ -96,7 +96,7 @@ def plan_records(
     own = nominal(scenario)
     found = []
     optima: list[OptimalEpisode] = optimal_episodes(
-        scenario, earthquakes, plant=own, signals=nominal_reference, on_step=on_step
+        scenario, earthquakes, plant=own, signals=nominal_reference, threads=THREADS, on_step=on_step
     )
     for quake, optimum in zip(earthquakes, optima, strict=True):
         if not math.isfinite(optimum.cost):
