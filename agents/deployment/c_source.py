@@ -70,8 +70,8 @@ def render_program(program: Program) -> dict[str, str]:
         "c_type": "double" if program.precision == "float64" else "float",
     }
     return {
-        f"{program.name}.h": _tidy(env.get_template("program.h").render(context)),
-        f"{program.name}.c": _tidy(env.get_template("program.c").render(context)),
+        f"{program.name}.h": tidy(env.get_template("program.h").render(context)),
+        f"{program.name}.c": tidy(env.get_template("program.c").render(context)),
     }
 
 
@@ -193,7 +193,7 @@ def _helpers(env: jinja2.Environment, program: Program, code: str) -> list[str]:
     return [source.strip() + "\n" for name, source in sources.items() if name in used]
 
 
-def _tidy(text: str) -> str:
+def tidy(text: str) -> str:
     """Return a text without blank lines in a row or at the ends of blocks."""
     text = re.sub(r"\n{3,}", "\n\n", text)
     text = re.sub(r"\n\n(\s*})", r"\n\1", text)

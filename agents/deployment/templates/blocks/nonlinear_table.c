@@ -9,6 +9,8 @@
 {{ outputs.code(b) }}/* What the linear table leaves out: flow [m of spool], force [N], spool rate [m/s]{% if b.yields %}, slips [m/s]{% endif %}. */
 static void {{ b.name }}_parts(const real *x, real current, real *g)
 {
+    (void)x;
+    (void)current;
     g[0] = {{ 0.0|real }};
     g[1] = {{ 0.0|real }};
     g[2] = {{ 0.0|real }};
@@ -41,7 +43,6 @@ static void {{ b.name }}_parts(const real *x, real current, real *g)
         g[2] = clip(unlimited, {{ -b.rate_limit|real }}, {{ b.rate_limit|real }}) - unlimited;
     }
 {% else %}
-    (void)current;
 {% endif %}
 {% if b.yields %}
     for (int i = 0; i < {{ b.stories }}; i++) { /* Bouc and Wen's law */
