@@ -60,20 +60,17 @@ class CompiledProgram:
     ----------
     program
         What is compiled.
-    folder
-        Where its sources and library are written; None: a temporary folder.
     """
 
-    def __init__(self, program: Program, folder: Path | None = None) -> None:
+    def __init__(self, program: Program) -> None:
         self.program = program
-        self._temporary = tempfile.TemporaryDirectory() if folder is None else None
-        where = Path(self._temporary.name) if self._temporary else folder
-        assert where is not None  # as chosen
-        for name, text in render_program(program).items():
-            write_text(where / name, text)
-        library = where / f"lib{program.name}.so"
-        run_compiler([*FLAGS, "-shared", "-fPIC", "-o", library, where / f"{program.name}.c", "-lm"])
-        loaded = ctypes.CDLL(str(library))
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+            where = Path(folder)
+            for name, text in render_program(program).items():
+                write_text(where / name, text)
+            library = where / f"lib{program.name}.so"
+            run_compiler([*FLAGS, "-shared", "-fPIC", "-o", library, where / f"{program.name}.c", "-lm"])
+            loaded = ctypes.CDLL(str(library))  # it stays loaded when its file is gone
         self._size = getattr(loaded, f"{program.name}_size")
         self._size.restype = ctypes.c_ulong
         self._init, self._reset, self._step = (
