@@ -17,6 +17,7 @@ ROOMS = """
     agents/cli
     agents/experiments agents/studies
     agents/motions
+    agents/deployment
     agents/reporting
     agents/acceptance
     agents/training

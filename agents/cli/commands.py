@@ -66,9 +66,14 @@ COMMANDS = {
     "robustness": Command(
         "agents.cli.robustness", "Robustness", "Controllers on tables unlike those of their design."
     ),
-    "export": Command("agents.cli.policy", "Export", "A policy as ONNX."),
+    "export": Command(
+        "agents.cli.deployment.export", "Export", "A controller as C, as an FMU or as ONNX."
+    ),
+    "rehearse": Command(
+        "agents.cli.deployment.rehearse", "Rehearse", "A controller in real time, with injected faults."
+    ),
     "model-card": Command(
-        "agents.cli.policy", "ModelCard", "Model card of a policy: training, evaluation, limits."
+        "agents.cli.model_card", "ModelCard", "Model card of a policy: training, evaluation, limits."
     ),
     "benchmark": Command(
         "agents.cli.benchmark", "Benchmark", "Every classical controller on every named scenario."
