@@ -45,6 +45,9 @@ COMMANDS = {
     "plan": Command(
         "agents.cli.planning.plan", "Plan", "A record's optimal currents, planned before its test."
     ),
+    "identify": Command(
+        "agents.cli.laboratory.identify", "Identify", "Table and specimen from logs of their tests."
+    ),
     "play": Command("agents.cli.play", "Play", "A controller at work, in a window or as a film."),
     "motion": Command(
         "agents.cli.motion", "Motion", "A recorded motion, and the scale that the table needs."

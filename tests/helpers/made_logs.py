@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 
+from agents.laboratory.logs.other_plant import OnOtherPlant
 from agents.laboratory.logs.recorder import LogRecorder
 from agents.laboratory.logs.test_log import TestLog
 from baselines.registry import make_baseline
@@ -21,8 +22,11 @@ def noise(seconds=4.0, amplitude=0.22):
 def made(scenario: Scenario, driven=None, seconds=4.0, amplitude=0.22, seed=3, name="lqg") -> TestLog:
     """The log of a test of `driven` (default: the scenario), as the scenario's laboratory has it."""
     quake = [Earthquake("noise", noise(seconds, amplitude), seed)]
-    recorder = LogRecorder(scenario, quake)
-    rollout(make_baseline(name, scenario), scenario if driven is None else driven, quake, log=recorder)
+    recorder = LogRecorder(scenario, quake, plant=driven)
+    controller = make_baseline(name, scenario)
+    if driven is not None:
+        controller = OnOtherPlant(controller, scenario, driven)
+    rollout(controller, scenario if driven is None else driven, quake, log=recorder)
     return recorder.logs()[0]
 
 

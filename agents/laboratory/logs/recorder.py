@@ -31,6 +31,9 @@ class LogRecorder:
         One a lane, as `rollout` takes them.
     lanes
         Indices of those to log; None: all.
+    plant
+        What is simulated in its place, with the same sensors: a truth that nobody is told; None: the
+        scenario itself.
     """
 
     def __init__(
@@ -38,6 +41,7 @@ class LogRecorder:
         scenario: Scenario,
         earthquakes: Sequence[Earthquake],
         lanes: Sequence[int] | None = None,
+        plant: Scenario | None = None,
     ) -> None:
         self.scenario, self.earthquakes = scenario, list(earthquakes)
         self.lanes = list(range(len(self.earthquakes)) if lanes is None else lanes)
@@ -46,7 +50,8 @@ class LogRecorder:
         self._names = ("table_acceleration", "base_shear", *STATE_SIGNALS)
         if not self._full:
             self._names = layout.reading_names
-        self._readings, self._scale = layout.readings, layout.reading_scale
+        shown = (scenario if plant is None else plant).observation
+        self._readings, self._scale = layout.readings, shown.reading_scale
         self._rows: list[FloatArray] = []
         self._periods = np.zeros(len(self.lanes), dtype=int)
 
