@@ -48,6 +48,9 @@ COMMANDS = {
     "identify": Command(
         "agents.cli.laboratory.identify", "Identify", "Table and specimen from logs of their tests."
     ),
+    "forecast": Command(
+        "agents.cli.laboratory.forecast", "ForecastCommand", "What a test will do, before it."
+    ),
     "play": Command("agents.cli.play", "Play", "A controller at work, in a window or as a film."),
     "motion": Command(
         "agents.cli.motion", "Motion", "A recorded motion, and the scale that the table needs."

@@ -31,9 +31,15 @@ class PlantSamples(Uncertainty):
 
     names: tuple[str, ...] = ()  # of the parameters, as `Scenario.with_plant` takes them
     rows: tuple[tuple[float, ...], ...] = ()  # of each sample, SI
+    channels: tuple[str, ...] = ()  # measured channels whose model has an error
+    shares: tuple[float, ...] = ()  # standard deviation of that error [-] of the channel's response
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "names", tuple(self.names))
+        for name in ("names", "channels"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        object.__setattr__(self, "shares", tuple(map(float, self.shares)))
+        if len(self.channels) != len(self.shares) or not all(0.0 <= s < math.inf for s in self.shares):
+            raise ParameterError("shares", self.shares, f"must be one for each of {self.channels}")
         object.__setattr__(self, "rows", tuple(tuple(map(float, row)) for row in self.rows))
         if not self.names or len(set(self.names)) < len(self.names) or not self.rows:
             raise ParameterError("names, rows", (self.names, len(self.rows)), "must hold a sample")
@@ -54,6 +60,15 @@ class PlantSamples(Uncertainty):
     def at(self, number: int) -> dict[str, float]:
         """Return the values of a sample, by name."""
         return dict(zip(self.names, self.rows[number], strict=True))
+
+    @property
+    def middle(self) -> dict[str, float]:
+        """Mean value of each parameter, by name: geometric where all are above 0, but for the delay."""
+        columns = np.array(self.rows)
+        means = columns.mean(axis=0)
+        positive = (columns > 0.0).all(axis=0) & (np.array(self.names) != "delay")
+        means[positive] = np.exp(np.log(columns[:, positive]).mean(axis=0))
+        return dict(zip(self.names, means.tolist(), strict=True))
 
     def largest(self, name: str) -> float | None:
         """Return the largest value of a parameter; None where it is not among them."""
@@ -110,4 +125,13 @@ def read_samples(file: str | os.PathLike[str]) -> PlantSamples:
         If a sample is not complete.
     """
     content = read_posterior_file(file)
-    return PlantSamples(names=content["names"], rows=content["samples"])
+    shares = content.get("shares", {})
+    numbers = isinstance(shares, dict) and all(isinstance(v, int | float) for v in shares.values())
+    if not numbers:
+        raise FileError(f"{file}, shares", shares, "must be numbers by channel")
+    return PlantSamples(
+        names=content["names"],
+        rows=content["samples"],
+        channels=tuple(shares),
+        shares=tuple(shares.values()),
+    )

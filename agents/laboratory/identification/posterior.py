@@ -77,7 +77,13 @@ class Posterior:
     def uncertain(self) -> Scenario:
         """The scenario at the mean, with the samples as its uncertainty."""
         rows = tuple(map(tuple, self.values.tolist()))
-        return replace(self.nominal, uncertainty=PlantSamples(names=self.names, rows=rows))
+        samples = PlantSamples(
+            names=self.names,
+            rows=rows,
+            channels=tuple(name for name, _ in self.shares),
+            shares=tuple(share for _, share in self.shares),
+        )
+        return replace(self.nominal, uncertainty=samples)
 
     def prior(self) -> Prior:
         """Return the normal prior of the next update: mean and covariance of the samples."""
