@@ -163,10 +163,10 @@ def scenarios() -> str:
     return "\n".join(parts)
 
 
-SECTIONS = {"Specimen": "specimen", "RecordedMotion": "motion"}
+SECTIONS = {"Specimen": "specimen", "RecordedMotion": "motion", "Uncertainty": "uncertainty"}
 FORMS_NOTE = (
-    "A scenario file gives a specimen or a motion by the fields above, or by exactly one of these "
-    "forms, as a table `[specimen.uniform]` or `[motion.file]`.\n"
+    "A scenario file gives a specimen, a motion or an uncertainty by the fields above, or by one of "
+    "these forms, as a table `[specimen.uniform]` or `[motion.file]`.\n"
 )
 
 

@@ -16,7 +16,7 @@ ROOMS = """
     agents/__main__
     agents/cli
     agents/experiments agents/studies
-    agents/motions
+    agents/motions agents/laboratory
     agents/deployment
     agents/reporting
     agents/acceptance

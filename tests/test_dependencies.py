@@ -20,7 +20,7 @@ ALLOWED = {
 }  # fmt: skip
 # Under the LGPL: used as they are installed, unmodified and replaceable, which is all that it asks.
 # chardet comes with binaryornot or requests in some versions of the development tools.
-LESSER = {"chardet", "pygame-ce"}
+LESSER = {"chardet", "nptdms", "pygame-ce"}
 # NVIDIA's own licence: what a CUDA build of torch brings, which the project does not need.
 NVIDIA = ("nvidia-", "cuda-")
 # Distributions whose metadata state no licence: that of the file that they bring, and words of it.

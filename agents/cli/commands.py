@@ -45,6 +45,12 @@ COMMANDS = {
     "plan": Command(
         "agents.cli.planning.plan", "Plan", "A record's optimal currents, planned before its test."
     ),
+    "identify": Command(
+        "agents.cli.laboratory.identify", "Identify", "Table and specimen from logs of their tests."
+    ),
+    "forecast": Command(
+        "agents.cli.laboratory.forecast", "ForecastCommand", "What a test will do, before it."
+    ),
     "play": Command("agents.cli.play", "Play", "A controller at work, in a window or as a film."),
     "motion": Command(
         "agents.cli.motion", "Motion", "A recorded motion, and the scale that the table needs."

@@ -21,6 +21,8 @@ from shake_env.motion.targets import FilteredNoise, Motion, MotionSet, RecordedM
 from shake_env.scenario.limits import Limits
 from shake_env.scenario.objective import Objective, StageCost
 from shake_env.scenario.observation import ObservationLayout, Sensing
+from shake_env.scenario.plant_samples import PlantSamples
+from shake_env.scenario.plant_values import with_specimen_values
 from shake_env.scenario.tables.table import DEFAULT_TABLE, TABLE_NAMES, named_table
 from shake_env.scenario.uncertainty import Uncertainty
 
@@ -78,7 +80,7 @@ class Scenario:
     limits: Limits = field(default_factory=Limits)
     nonlinearity: Nonlinearity = field(default_factory=Nonlinearity)
     delay: float = 0  # [physics steps] from the controller's command to the valve
-    uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    uncertainty: Uncertainty | PlantSamples = field(default_factory=Uncertainty)
     sensing: Sensing = field(default_factory=Sensing)
     train_on: str | None = None  # scenario to train and tune on instead of this one, which is for tests
 
@@ -143,7 +145,11 @@ class Scenario:
         return self.with_plant(self.uncertainty.sample(stream))
 
     def with_plant(self, values: Mapping[str, float]) -> Scenario:
-        """Return this scenario with these values of its uncertain parameters, by their names."""
+        """Return this scenario with these values of its uncertain parameters, by their names.
+
+        Beside those of `Uncertainty` these are all of the actuator and of `plant_values`, and
+        ``yield_drift`` and ``supply_pressure``.
+        """
         changes: dict[str, Any] = {}
         specimen = {name: values[name] for name in UNIFORM if name in values}
         if specimen:
@@ -153,26 +159,37 @@ class Scenario:
         actuator = {name: value for name, value in values.items() if name in vars(self.actuator)}
         if actuator:
             changes["actuator"] = replace(self.actuator, **actuator)
+        own = with_specimen_values(changes.get("specimen", self.specimen), values)
+        if own is not self.specimen:
+            changes["specimen"] = own
+        parts = self.nonlinearity
         if "coulomb_friction" in values:
-            friction = self.nonlinearity.friction.at(values["coulomb_friction"])
-            changes["nonlinearity"] = replace(self.nonlinearity, friction=friction)
+            parts = replace(parts, friction=parts.friction.at(values["coulomb_friction"]))
+        if "yield_drift" in values:
+            yielding = replace(parts.yielding, yield_drift=values["yield_drift"])
+            parts = replace(parts, yielding=yielding)
+        if "supply_pressure" in values:
+            valve = replace(parts.valve, supply_pressure=values["supply_pressure"])
+            parts = replace(parts, valve=valve)
+        if parts is not self.nonlinearity:
+            changes["nonlinearity"] = parts
         if "delay" in values:
-            changes["delay"] = round(values["delay"])
+            changes["delay"] = values["delay"]
         return replace(self, **changes)
 
     @property
     def parts(self) -> Nonlinearity:
         """The nonlinear parts of the tables that are stepped: friction also where it is only drawn."""
-        friction, drawn = self.nonlinearity.friction, self.uncertainty.coulomb_friction
-        if drawn is None or friction.active:
+        friction, most = self.nonlinearity.friction, self.uncertainty.largest("coulomb_friction")
+        if most is None or friction.active:
             return self.nonlinearity
-        return replace(self.nonlinearity, friction=friction.at(drawn.high))
+        return replace(self.nonlinearity, friction=friction.at(most))
 
     @property
     def longest_delay(self) -> float:
         """Longest loop delay [physics steps] that a drawn plant can have."""
-        uncertain = self.uncertainty.delay
-        return self.delay if uncertain is None else max(self.delay, math.ceil(uncertain.high))
+        most = self.uncertainty.largest("delay")
+        return self.delay if most is None else max(self.delay, math.ceil(most))
 
     @property
     def input_unit(self) -> str:
