@@ -14,6 +14,7 @@ from typing import Any
 
 import array_api_compat
 import numpy as np
+from numpy.typing import NDArray
 
 from baselines.estimation.lqg import EstimatedState
 from baselines.lqr.preview import PreviewFeedback
@@ -118,6 +119,28 @@ class EstimatedLaw:
             change = (gains @ innovation[..., None])[..., 0]
         known = xp.concat([both[..., :estimates] + change, both[..., estimates:size]], axis=-1)
         return known, xp.concat([known, observation], axis=-1) @ self.show.T
+
+    def show_to(
+        self,
+        observation: NDArray[np.float32],
+        state: tuple[Any, ...] | None,
+        episode_start: NDArray[np.bool_] | None,
+    ) -> tuple[NDArray[np.int_], FloatArray, NDArray[np.float32]]:
+        """Weigh an observation (..., n) for a controller that keeps memory and age as its state.
+
+        Returns
+        -------
+        Periods since the start (...), what the law knows, and the observation (..., n + e) with what it
+        shows behind it. The next state is ``(keep(known, action), age + 1)``.
+        """
+        lead = observation.shape[:-1]
+        age = np.zeros(lead, dtype=int) if state is None else state[1]
+        past = np.zeros((*lead, self.size)) if state is None else state[0]
+        if state is not None and episode_start is not None:
+            begun = np.reshape(episode_start, lead)
+            age, past = np.where(begun, 0, age), np.where(begun[..., None], 0.0, past)
+        known, shown = self.look(past, observation.astype(float), age)
+        return age, known, np.concatenate([observation, shown.astype(np.float32)], axis=-1)
 
     def keep(self, known: Array, action: Array) -> Array:
         """Return the memory (..., M) once an action (...) within [-1, 1] was given."""
