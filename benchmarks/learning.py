@@ -133,11 +133,11 @@ def gradients(
     )
     model = _model(config, SCENARIOS[scenario])
     model._setup_learn(1)
-    start = model.env.snapshot()
+    start = model.env.get_state()
 
     def set_up(window: int, segment: int) -> None:
         model.window, model.checkpoint = window, segment
-        model.env.restore(start)
+        model.env.set_state(start)
 
     def forward(window: int) -> Callable[[], None]:
         def call() -> None:

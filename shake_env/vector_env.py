@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Unpack
 
@@ -22,9 +22,14 @@ from shake_env.scenario.limits import REASONS
 from shake_env.scenario.overrides import Overrides, make_scenario
 from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.batch_info import BatchInfo
-from shake_env.simulation.engine import BoolArray, Observations, StepResult
+from shake_env.simulation.engine import BoolArray, LaneState, Observations, StepResult
 from shake_env.simulation.memory import check_memory
-from shake_env.simulation.simulation import Simulation, earthquake_stream, episode_stream
+from shake_env.simulation.simulation import (
+    Simulation,
+    earthquake_stream,
+    episode_stream,
+    stream_array,
+)
 
 NUM_ENVS = Range(1, 10_000_000, whole=True)
 THREADS = Range(1, 1024, whole=True)
@@ -157,6 +162,65 @@ class ShakeTableVectorEnv(
         if self.autoreset_mode == AutoresetMode.DISABLED:
             self._last = observation.copy()  # which a reset of others hands out again
         return observation, reward, terminated, truncated, info
+
+    def get_state(self, lanes: Sequence[int] | None = None) -> LaneState:
+        """Return everything that lanes go on from, arrays with one row a lane.
+
+        Those of `Simulation.get_state`, and of the environment ``stream`` (an array of generators),
+        ``ended`` and ``observation``. The rows of one lane given to another by :meth:`set_state` make it
+        go on as the first, the episodes that follow included.
+
+        Parameters
+        ----------
+        lanes
+            Indices of the lanes; None: all N.
+
+        Raises
+        ------
+        ScenarioError
+            If no episode has begun.
+        """
+        self._require_begun()
+        index = range(self.num_envs) if lanes is None else list(lanes)
+        state = self._simulation.get_state(lanes)
+        state["stream"] = stream_array([self._streams[lane] for lane in index])
+        state["ended"] = self._ended[index].copy()
+        state["observation"] = np.asarray(self._last)[index].copy()
+        return state
+
+    def set_state(self, state: Mapping[str, NDArray[Any]], lanes: Sequence[int] | None = None) -> None:
+        """Put lanes where others stood; the rest goes on as it was.
+
+        Parameters
+        ----------
+        state
+            What :meth:`get_state` returned, of a vector environment of the same scenario.
+        lanes
+            Indices of the lanes that take its rows, in order; None: all N, and :meth:`reset` is then not
+            needed.
+
+        Raises
+        ------
+        ScenarioError
+            If the state is of another scenario or of another number of lanes.
+        """
+        if lanes is not None:
+            self._require_begun()
+        index = range(self.num_envs) if lanes is None else list(lanes)
+        own = ("stream", "ended", "observation")
+        rest = {name: array for name, array in state.items() if name not in own}
+        self._simulation.set_state(rest, lanes)
+        for lane, stream in zip(index, stream_array(state["stream"]), strict=True):
+            self._streams[lane] = stream
+        self._ended[index] = state["ended"]
+        self._some_ended = bool(self._ended.any())
+        last = np.zeros(self.observation_space.shape or (), dtype=np.float32) + self._last
+        last[index] = state["observation"]
+        self._last = last
+
+    def _require_begun(self) -> None:
+        if any(stream is None for stream in self._streams):
+            raise ScenarioError("state", None, "no episode has begun: reset() first")
 
     def _end(self, result: StepResult, observation: Observations, info: dict[str, Any]) -> None:
         """Note which episodes are over, and begin the next ones where the same step does."""

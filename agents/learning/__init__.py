@@ -18,6 +18,7 @@ __getattr__, __all__ = names_of(
             "ScaleFreeDirectPolicy",
             "ScaleFreePolicy",
         ),
+        "paired": ("PairedVecEnv",),
         "sb3_env": (
             "SB3Controller",
             "compare_with_reference",

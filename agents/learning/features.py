@@ -216,11 +216,13 @@ class FeatureMap:
     ----------
     scenario
         What is observed.
+    believed
+        Whether an estimator's beliefs follow the observation, as in :func:`feature_matrix`.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._matrix = feature_matrix(scenario).astype(np.float32)
-        self._sizes = feature_sizes(scenario).astype(np.float32)
+    def __init__(self, scenario: Scenario, believed: bool = False) -> None:
+        self._matrix = feature_matrix(scenario, believed).astype(np.float32)
+        self._sizes = feature_sizes(scenario, believed).astype(np.float32)
         bound = CLIP * self._sizes
         self.space = spaces.Box(-bound, bound, dtype=np.float32)
 

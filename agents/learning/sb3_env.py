@@ -22,6 +22,9 @@ from agents.learning.training_scenario import (
     scenario_of,
 )
 from agents.learning.vec_env import ShakeTableVecEnv
+from agents.policies.base_law import base_law
+from agents.policies.base_names import BaseLaw
+from agents.policies.estimated_law import EstimatedLaw
 from agents.seeds import COMPARISON_SEED
 from baselines.registry import make_baseline, reference_name
 from shake_env.errors import ParameterError, ScenarioError
@@ -39,10 +42,12 @@ class VecTrackingFeatures(VecEnvWrapper):
         Shake tables with their own observations.
     scenario
         What they simulate.
+    believed
+        Whether they show an estimator's beliefs behind the observation.
     """
 
-    def __init__(self, venv: VecEnv, scenario: Scenario) -> None:
-        self.features = FeatureMap(scenario)
+    def __init__(self, venv: VecEnv, scenario: Scenario, believed: bool = False) -> None:
+        self.features = FeatureMap(scenario, believed)
         super().__init__(venv, self.features.space)
 
     def reset(self) -> NDArray[np.float32]:
@@ -68,6 +73,7 @@ def make_sb3_env(  # type: ignore[misc]  # `duration` is the episode's, and no o
     *,
     gamma: float = GAMMA,
     action_scale: float = 1.0,
+    base_controller: BaseLaw = "none",
     duration: float | None = EPISODE,
     state_limit: float = STATE_LIMIT,
     **overrides: Unpack[Overrides],
@@ -91,6 +97,9 @@ def make_sb3_env(  # type: ignore[misc]  # `duration` is the episode's, and no o
         Discount that the algorithm is given [-]; it sets the scale of the rewards.
     action_scale
         Valve current of action 1, as a fraction of the current limit.
+    base_controller
+        Controller that the actions correct (`agents.policies.base_law.base_law`). What one behind an
+        estimator believes of the table is shown as well.
     duration
         Duration of an episode of filtered noise [s]; None: the scenario's own.
     state_limit
@@ -111,10 +120,11 @@ def make_sb3_env(  # type: ignore[misc]  # `duration` is the episode's, and no o
     tables = ShakeTableVecEnv(
         training,
         int(num_envs),
+        base=base_law(base_controller, made),
         authority=checked_action_scale(action_scale),
         reward_scale=reward_scale(training, gamma),
     )
-    return VecTrackingFeatures(tables, training)
+    return VecTrackingFeatures(tables, made, tables.law is not None)
 
 
 class PredictsLikeSB3(Protocol):
@@ -139,7 +149,7 @@ class SB3Controller:
         Trained on `make_sb3_env`, or on an environment in ``agents.learning.wrappers.TrainingWrapper``.
     scenario
         What it drives; its motion may differ from training's.
-    action_scale
+    action_scale, base_controller
         As in training.
 
     Raises
@@ -154,10 +164,15 @@ class SB3Controller:
         scenario: str | os.PathLike[str] | Scenario = "linear",
         *,
         action_scale: float = 1.0,
+        base_controller: BaseLaw = "none",
     ) -> None:
         self.model = model
         self.action_scale = checked_action_scale(action_scale)
-        self._features = FeatureMap(make_scenario(scenario_of(scenario)))
+        made = make_scenario(scenario_of(scenario))
+        base = base_law(base_controller, made)
+        self._law = base if isinstance(base, EstimatedLaw) else None
+        self._row = None if isinstance(base, EstimatedLaw) else base
+        self._features = FeatureMap(made, self._law is not None)
         space, expected = getattr(model, "observation_space", None), self._features.space
         if space is not None and space.shape != expected.shape:
             raise ScenarioError(
@@ -175,9 +190,21 @@ class SB3Controller:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
         """Return actions (..., 1) for observations (..., n) of the bare environment, and the memory."""
-        features = self._features(np.asarray(observation, dtype=np.float32))
-        action, state = self.model.predict(features, state, episode_start, deterministic)
-        return (self.action_scale * action).astype(np.float32), state
+        observation = np.asarray(observation, dtype=np.float32)
+        own = state
+        if self._law is not None:
+            own, past = (None, None) if state is None else (state[:-2] or None, state[-2:])
+            age, known, shown = self._law.show_to(observation, past, episode_start)
+            observation = np.concatenate([observation, shown.astype(np.float32)], axis=-1)
+        correction, own = self.model.predict(
+            self._features(observation), own, episode_start, deterministic
+        )
+        base = observation[..., -1:] if self._row is None else (observation @ self._row)[..., None]
+        action = np.clip(base + self.action_scale * correction, -1.0, 1.0)
+        if self._law is None:
+            return action.astype(np.float32), own
+        kept = self._law.keep(known, action[..., 0].astype(float))
+        return action.astype(np.float32), (*(own or ()), kept, age + 1)
 
 
 @dataclass(frozen=True)
@@ -207,6 +234,7 @@ def compare_with_reference(
     scenario: str | os.PathLike[str] | Scenario = "linear",
     *,
     action_scale: float = 1.0,
+    base_controller: BaseLaw = "none",
     earthquakes: int = 32,
     seed: int = COMPARISON_SEED,
     **overrides: Unpack[Overrides],
@@ -222,7 +250,7 @@ def compare_with_reference(
         Trained on `make_sb3_env`, or on an environment in ``agents.learning.wrappers.TrainingWrapper``.
     scenario, overrides
         What both drive, as for :func:`make_sb3_env`.
-    action_scale
+    action_scale, base_controller
         As in training.
     earthquakes
         Number of earthquakes.
@@ -232,7 +260,8 @@ def compare_with_reference(
     made = make_scenario(scenario_of(scenario), overrides)
     motions = noise_earthquakes(made, earthquakes, seed)
     name = reference_name(made)
-    rows, _ = rollout(SB3Controller(model, made, action_scale=action_scale), made, motions)
+    controller = SB3Controller(model, made, action_scale=action_scale, base_controller=base_controller)
+    rows, _ = rollout(controller, made, motions)
     reference, _ = rollout(make_baseline(name, made), made, motions)
     return CostComparison(
         cost=float(np.mean([row.cost for row in rows])),

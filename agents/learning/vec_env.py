@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,9 +19,9 @@ from shake_env.model.inputs import batch_action
 from shake_env.model.parameters import FloatArray
 from shake_env.scenario.limits import OBSERVATION_BOUND, REASONS
 from shake_env.scenario.scenario import Scenario
-from shake_env.simulation.engine import StepResult
+from shake_env.simulation.engine import LaneState, StepResult
 from shake_env.simulation.sensors import SensorMemory
-from shake_env.simulation.simulation import Simulation, episode_stream
+from shake_env.simulation.simulation import Simulation, episode_stream, stream_array
 
 
 class ShakeTableVecEnv(VecEnv):
@@ -218,24 +217,58 @@ class ShakeTableVecEnv(VecEnv):
         shares = (np.arange(self.num_envs) + 1.0) / self.num_envs
         steps[:] = np.maximum(np.ceil(steps * shares), 1).astype(int)
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return everything that `restore` needs to go on exactly."""
-        return {
-            "simulation": self.simulation.snapshot(),
-            "streams": copy.deepcopy(self._streams),
-            "returns": self._returns.copy(),
-            "observation": self._observation.copy(),
-            "law_memory": self.law_memory.copy(),
-        }
+    def get_state(self, lanes: Sequence[int] | None = None) -> LaneState:
+        """Return everything that lanes go on from, arrays with one row a lane.
 
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go on from a `snapshot` of a VecEnv of the same scenario and size."""
-        self.simulation.restore(snapshot["simulation"])
-        self._streams = copy.deepcopy(snapshot["streams"])
-        self._returns = snapshot["returns"].copy()
-        self._observation = snapshot["observation"].copy()
-        self.law_memory = snapshot.get("law_memory", self.law_memory).copy()
+        Those of `Simulation.get_state`, and of the environment ``stream`` (an array of generators),
+        ``returns``, ``observation`` and ``law_memory``. The rows of one lane given to another by
+        :meth:`set_state` make it go on as the first, the episodes that follow included.
+
+        Parameters
+        ----------
+        lanes
+            Indices of the lanes; None: all N.
+        """
+        index = range(self.num_envs) if lanes is None else list(lanes)
+        state = self.simulation.get_state(lanes)
+        state["stream"] = stream_array([self._streams[lane] for lane in index])
+        for name, values in self._own().items():
+            state[name] = values[index].copy()
+        return state
+
+    def set_state(self, state: Mapping[str, NDArray[Any]], lanes: Sequence[int] | None = None) -> None:
+        """Put lanes where others stood; the rest goes on as it was.
+
+        Parameters
+        ----------
+        state
+            What :meth:`get_state` returned, of a VecEnv of the same scenario and law.
+        lanes
+            Indices of the lanes that take its rows, in order; None: all N.
+
+        Raises
+        ------
+        ScenarioError
+            If the state is of another scenario or of another number of lanes.
+        """
+        index = range(self.num_envs) if lanes is None else list(lanes)
+        own = self._own()
+        rest = {name: array for name, array in state.items() if name not in (*own, "stream")}
+        self.simulation.set_state(rest, lanes)
+        for lane, stream in zip(index, stream_array(state["stream"]), strict=True):
+            self._streams[lane] = stream
+        for name, values in own.items():
+            values[index] = state[name]
         self._look()
+
+    def _own(self) -> dict[str, NDArray[Any]]:
+        """Return what the environment keeps of its lanes beside the simulation, arrays of its own."""
+        self._observation, self.law_memory = self._observation.copy(), self.law_memory.copy()
+        return {
+            "returns": self._returns,
+            "observation": self._observation,
+            "law_memory": self.law_memory,
+        }
 
     def close(self) -> None:
         """Release nothing: there are no workers."""

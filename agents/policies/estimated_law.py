@@ -153,6 +153,28 @@ class EstimatedLaw:
         known = xp.concat([both[..., :estimates] + change, both[..., estimates:size]], axis=-1)
         return known, xp.concat([known, observation], axis=-1) @ self.show.T
 
+    def show_to(
+        self,
+        observation: NDArray[np.float32],
+        state: tuple[Any, ...] | None,
+        episode_start: NDArray[np.bool_] | None,
+    ) -> tuple[NDArray[np.int_], FloatArray, FloatArray]:
+        """Weigh an observation (..., n) for a controller that keeps memory and age as its state.
+
+        Returns
+        -------
+        Periods since the start (...), what the law knows, and what it shows (..., e). The next state is
+        ``(keep(known, action), age + 1)``.
+        """
+        lead = observation.shape[:-1]
+        age = np.zeros(lead, dtype=int) if state is None else state[1]
+        past = np.zeros((*lead, self.size)) if state is None else state[0]
+        if state is not None and episode_start is not None:
+            begun = np.reshape(episode_start, lead)
+            age, past = np.where(begun, 0, age), np.where(begun[..., None], 0.0, past)
+        known, shown = self.look(past, observation.astype(float), age)
+        return age, known, shown
+
     def keep(self, known: Array, action: Array) -> Array:
         """Return the memory (..., M) once an action (...) within [-1, 1] was given."""
         xp = array_api_compat.array_namespace(known)

@@ -116,7 +116,7 @@ class PolicyFile:
         """Return the action (..., 1) for an observation (..., n), and the memories in a tuple."""
         if self.law is not None:
             law_state = None if state is None else state[-2:]
-            age, known, shown = _look(self.law, observation, law_state, episode_start)
+            age, known, shown = self.law.show_to(observation, law_state, episode_start)
             observation = np.concatenate([observation, shown.astype(self.matrix.dtype)], axis=-1)
         hidden = np.clip(observation @ self.matrix.T, -self.feature_clip, self.feature_clip)
         kept: tuple[Any, ...] | None = None
@@ -293,23 +293,6 @@ def load_policy(path: str | PathLike[str]) -> PolicyFile:
         if isinstance(error, PolicyFileError):
             raise
         raise PolicyFileError("policy file", str(path), f"lacks {error}: {_REMEDY}") from error
-
-
-def _look(
-    law: EstimatedLaw,
-    observation: NDArray[np.float32],
-    state: tuple[Any, ...] | None,
-    episode_start: NDArray[np.bool_] | None,
-) -> tuple[NDArray[np.int_], NDArray[np.float64], NDArray[np.float64]]:
-    """Return periods since the start (...), what a law knows and what it shows."""
-    lead = observation.shape[:-1]
-    age = np.zeros(lead, dtype=int) if state is None else state[1]
-    past = np.zeros((*lead, law.size)) if state is None else state[0]
-    if state is not None and episode_start is not None:
-        begun = np.reshape(episode_start, lead)
-        age, past = np.where(begun, 0, age), np.where(begun[..., None], 0.0, past)
-    known, shown = law.look(past, observation.astype(float), age)
-    return age, known, shown
 
 
 def _law(arrays: dict[str, NDArray[Any]], actions: int) -> EstimatedLaw:

@@ -36,12 +36,17 @@ class ProximalOptions:
     """Log of the initial exploration, relative to the authority. White action noise is expensive (2 % of
     LQR's current adds 10 % to its cost), but the update's trust region moves the policy by a share of
     it, so that too little of it learns slowly."""
+    paired: bool = False
+    """Whether the reward is the difference to a shadow of each table, on the same earthquake and driven
+    by the mean action, that is put back to the table at each roll-out. There is then no critic."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PPOOptions(ProximalOptions):
     """Proximal policy optimisation (Schulman et al., 2017) as SB3 implements it."""
 
+    direct_path: bool = False
+    """Whether the actor is a linear law plus a network, as the analytic gradient's is."""
     actor_bias: bool = False
     """Whether the actor has biases. Without, half the motion gets half the current, which is right for a
     linear plant; friction and limits need biases."""
@@ -83,6 +88,12 @@ class OffPolicyOptions:
     bad before the tables are lost."""
     residual_scale: float = 0.2
     """What the policy can add to that law, as a fraction of the current limit."""
+    paired: bool = False
+    """Whether the reward is the difference to a shadow of each table, on the same earthquake and driven
+    by the base controller alone."""
+    reward_gain: float = 1.0
+    """Factor on the rewards, which are scaled by 1 - discount at unit amplitude. Differences are smaller
+    than stage costs."""
 
 
 @dataclass(frozen=True, kw_only=True)

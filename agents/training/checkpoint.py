@@ -25,7 +25,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from agents.learning.apg.algorithm import AnalyticPolicyGradient
 from agents.learning.networks import DirectPolicy
-from agents.learning.vec_env import ShakeTableVecEnv
+from agents.learning.paired import PairedVecEnv
 from agents.run_directory import CHECKPOINTS, described, parse_json
 from agents.training.config import TrainConfig
 from agents.training.model_factory import Model, new_model
@@ -41,10 +41,11 @@ from agents.training.plain_state import (
     tables_state,
     whole_number,
 )
+from agents.training.tables import TrainingTables, base_tables
 from shake_env.errors import RunDirectoryError
 from shake_env.files import file_errors, write_bytes
 
-FORMAT = "shake-checkpoint-1"
+FORMAT = "shake-checkpoint-2"
 KEPT = 2  # newest checkpoints that stay
 _NAME = re.compile(r"step-(\d{12,})\.safetensors")
 _EARLIER = re.compile(r"step-\d{12,}")  # a folder of pickles
@@ -82,7 +83,7 @@ def delete_checkpoints(run: str | PathLike[str], but: int = 0) -> None:
         folder.rmdir()
 
 
-def save_checkpoint(run: str | PathLike[str], model: Model, env: ShakeTableVecEnv) -> Path:
+def save_checkpoint(run: str | PathLike[str], model: Model, env: TrainingTables) -> Path:
     """Write a checkpoint of a model between two roll-outs, and delete all but the newest ones.
 
     Raises
@@ -101,7 +102,7 @@ def save_checkpoint(run: str | PathLike[str], model: Model, env: ShakeTableVecEn
     return final
 
 
-def load_checkpoint(run: str | PathLike[str], config: TrainConfig, env: ShakeTableVecEnv) -> Model:
+def load_checkpoint(run: str | PathLike[str], config: TrainConfig, env: TrainingTables) -> Model:
     """Return the model of the newest readable checkpoint; `env` and all generators go on from it.
 
     Raises
@@ -164,7 +165,7 @@ def _read(file: Path) -> dict[str, Any]:
     return state
 
 
-def _state(model: Model, env: ShakeTableVecEnv) -> dict[str, Any]:
+def _state(model: Model, env: TrainingTables) -> dict[str, Any]:
     parameters = model.get_parameters()
     buffer = model.replay_buffer if isinstance(model, OffPolicyAlgorithm) else None
     _, variables = model._get_torch_save_params()
@@ -180,13 +181,13 @@ def _state(model: Model, env: ShakeTableVecEnv) -> dict[str, Any]:
         "variables": {name: _part(model, name) for name in variables if _part(model, name) is not None},
         "memory": _memory(model),
         "replay_buffer": None if buffer is None else _replay(buffer),
-        "tables": tables_state(env),
+        "tables": tables_state(base_tables(env)),
         "action_space": generator_state(model.action_space.np_random),
         "generators": global_generators(),
     }
 
 
-def _restore(model: Model, env: ShakeTableVecEnv, state: Mapping[str, Any]) -> None:
+def _restore(model: Model, env: TrainingTables, state: Mapping[str, Any]) -> None:
     """Give a model that was built anew, and its tables, the state of a checkpoint."""
     for name in _COUNTERS:
         if hasattr(model, name):
@@ -207,7 +208,9 @@ def _restore(model: Model, env: ShakeTableVecEnv, state: Mapping[str, Any]) -> N
     if isinstance(model, OffPolicyAlgorithm):
         assert model.replay_buffer is not None  # made with the model
         _refill(model.replay_buffer, state["replay_buffer"])
-    restore_tables(env, state["tables"])
+    restore_tables(base_tables(env), state["tables"])
+    if isinstance(env, PairedVecEnv):
+        env.go_on(state["last_observation"], state["last_episode_starts"])
     actions = generator(state["action_space"])
     if actions is None:
         raise ValueError("action_space must describe a random generator")
@@ -280,7 +283,7 @@ def _memory(model: Model) -> Any:
     return model.memory if isinstance(model, AnalyticPolicyGradient) else None
 
 
-def _restore_memory(model: Model, env: ShakeTableVecEnv, memory: Any) -> None:
+def _restore_memory(model: Model, env: TrainingTables, memory: Any) -> None:
     if isinstance(model, RecurrentPPO):
         states: Any = model._last_lstm_states  # as in `_memory`
         like = [[part.cpu().numpy() for part in pair] for pair in states]

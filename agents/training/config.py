@@ -103,7 +103,7 @@ class TrainConfig:
         not_positive = (
             "log_std_init", "target_entropy", "base_controller", "actor_bias", "terminal_value",
             "gru_hidden_size", "precision", "device", "top_quantiles_to_drop_per_net",
-            "checkpoint_segment_length", "critic_warmup_fraction",
+            "checkpoint_segment_length", "critic_warmup_fraction", "paired", "direct_path",
         )  # fmt: skip
         every = (self.ppo, self.sac, self.td3, self.tqc, self.recurrent_ppo, self.apg)
         for options in every:

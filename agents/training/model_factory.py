@@ -20,9 +20,10 @@ from agents.learning.networks import (
     ScaleFreeDirectPolicy,
     ScaleFreePolicy,
 )
-from agents.learning.vec_env import ShakeTableVecEnv
+from agents.learning.paired import PairedVecEnv
 from agents.training.algorithm_options import SACOptions, TD3Options, TQCOptions
 from agents.training.config import TrainConfig
+from agents.training.tables import TrainingTables, base_tables
 from shake_env.scenario.scenario import Scenario
 
 # By whether an actor has no biases, and whether it has a direct path.
@@ -111,20 +112,29 @@ class WarmUp:
 
 
 def new_model(
-    config: TrainConfig, scenario: Scenario, env: ShakeTableVecEnv, *, direct: bool = False
+    config: TrainConfig, scenario: Scenario, env: TrainingTables, *, direct: bool = False
 ) -> Model:
     """Return an untrained model on `env`; `scenario` is what it will be used on.
 
     With `direct` PPO's actor has a linear path beside its network, as the gradient's has.
     """
+    model = _model(config, scenario, env, direct or config.ppo.direct_path)
+    if isinstance(env, PairedVecEnv):
+        env.follow(model)
+    return model
+
+
+def _model(config: TrainConfig, scenario: Scenario, env: TrainingTables, direct: bool) -> Model:
+    tables = base_tables(env)
+    believed = tables.law is not None
     policy: dict[str, Any] = {
         "net_arch": list(config.net_arch),
         # The linear optimum is a linear law, which rectifiers can represent exactly and tanh cannot.
         "activation_fn": torch.nn.ReLU,
         "features_extractor_class": LinearFeatures,
         "features_extractor_kwargs": {
-            "matrix": feature_matrix(scenario, env.law is not None).tolist(),
-            "sizes": feature_sizes(scenario, env.law is not None).tolist(),
+            "matrix": feature_matrix(scenario, believed).tolist(),
+            "sizes": feature_sizes(scenario, believed).tolist(),
         },
     }
     gamma = config.discount(scenario.control_period)
@@ -149,12 +159,12 @@ def new_model(
     if config.algorithm == "recurrent-ppo":
         return _recurrent(config, policy, env, gamma)
     if config.algorithm == "apg":
-        return _analytic(config, policy, env, gamma)
+        return _analytic(config, policy, tables, gamma)
     return _off_policy(config, policy, env, gamma)
 
 
 def _off_policy(
-    config: TrainConfig, policy: dict[str, Any], env: ShakeTableVecEnv, gamma: float
+    config: TrainConfig, policy: dict[str, Any], env: TrainingTables, gamma: float
 ) -> SAC | TD3 | TQC:
     chosen = {"sac": config.sac, "td3": config.td3, "tqc": config.tqc}[config.algorithm]
     common: dict[str, Any] = {
@@ -211,7 +221,7 @@ def _shrink(layer: object, bias: float = 0.0) -> None:
 
 
 def _recurrent(
-    config: TrainConfig, policy: dict[str, Any], env: ShakeTableVecEnv, gamma: float
+    config: TrainConfig, policy: dict[str, Any], env: TrainingTables, gamma: float
 ) -> RecurrentPPO:
     chosen = config.recurrent_ppo
     return RecurrentPPO(
@@ -233,7 +243,7 @@ def _recurrent(
 
 
 def _analytic(
-    config: TrainConfig, policy: dict[str, Any], env: ShakeTableVecEnv, gamma: float
+    config: TrainConfig, policy: dict[str, Any], env: TrainingTables, gamma: float
 ) -> AnalyticPolicyGradient:
     analytic = config.apg
     kind: type[ActorCriticPolicy]

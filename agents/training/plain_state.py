@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from agents.learning.vec_env import ShakeTableVecEnv
 from shake_env.motion.targets import EpisodeMotion, MotionSet
 from shake_env.scenario.scenario import Scenario
-from shake_env.simulation.sensors import SensorMemory
 
 Arrays = dict[str, NDArray[Any]]
+PLANTS = "plant_values"  # what was drawn for each table, in a state of tables
 ARRAY = "array"  # key of an object that stands for an array, by its name
 _BITS = {"PCG64": np.random.PCG64, "PCG64DXSM": np.random.PCG64DXSM}
 _WORDS = 624  # of the state of a Mersenne twister
@@ -158,13 +158,13 @@ def set_global_generators(state: Mapping[str, Any]) -> None:
 
 
 def tables_state(env: ShakeTableVecEnv) -> dict[str, Any]:
-    """Return a snapshot of the tables without objects: generators and motions as what they are."""
-    state = env.snapshot()
-    simulation, motions = dict(state["simulation"]), _motions(env.scenario)
-    simulation["motions"] = [motions.index(motion) for motion in simulation["motions"]]
-    simulation["memory"] = {k: np.asarray(value) for k, value in vars(simulation["memory"]).items()}
-    streams = [generator_state(stream) for stream in state["streams"]]
-    return state | {"simulation": simulation, "streams": streams}
+    """Return the state of the tables without objects: generators and motions as what they are."""
+    state, motions = dict[str, Any](env.get_state()), _motions(env.scenario)
+    state["motion"] = [motions.index(motion) for motion in state["motion"]]
+    state["stream"] = [generator_state(stream) for stream in state["stream"]]
+    if PLANTS in state:
+        state[PLANTS] = list(state[PLANTS])
+    return state
 
 
 def restore_tables(env: ShakeTableVecEnv, state: Mapping[str, Any]) -> None:
@@ -176,29 +176,31 @@ def restore_tables(env: ShakeTableVecEnv, state: Mapping[str, Any]) -> None:
         If they are others' tables, or it describes none.
     """
     _require_tables(state, tables_state(env), env)
-    simulation, motions = dict(state["simulation"]), _motions(env.scenario)
-    places = [whole_number(place, "motions", len(motions) - 1) for place in simulation["motions"]]
-    simulation["motions"] = [motions[place] for place in places]
-    simulation["memory"] = SensorMemory(**simulation["memory"])
-    streams = [generator(stream) for stream in state["streams"]]
-    env.restore({**state, "simulation": simulation, "streams": streams})
+    motions = _motions(env.scenario)
+    places = [whole_number(place, "motion", len(motions) - 1) for place in state["motion"]]
+    objects: dict[str, list[Any]] = {
+        "motion": [motions[place] for place in places],
+        "stream": [generator(stream) for stream in state["stream"]],
+    }
+    if PLANTS in state:
+        objects[PLANTS] = state[PLANTS]
+    arrays = {name: np.empty(env.num_envs, dtype=object) for name in objects}
+    for name, array in arrays.items():
+        array[:] = objects[name]
+    env.set_state({**state, **arrays})
 
 
 def _require_tables(state: Mapping[str, Any], like: Mapping[str, Any], env: ShakeTableVecEnv) -> None:
     """Compare all but generators and drawn plants."""
-    compared = []
-    for nest in (state, like):
-        simulation, listed = dict(nest["simulation"]), [nest["streams"]]
-        if simulation["fleet"] is not None:
-            listed.append(simulation["fleet"]["values"])
-            simulation["fleet"] = {**simulation["fleet"], "values": None}
-        for each in listed:
-            fits = isinstance(each, list) and len(each) == env.num_envs
-            _require(fits, "tables", f"must be {env.num_envs}")
-        compared.append({**nest, "streams": None, "simulation": simulation})
-    require_form(compared[0], compared[1], "tables")
+    varied = [name for name in ("stream", PLANTS) if name in like]
+    for name in varied:
+        each = state[name]
+        fits = isinstance(each, list) and len(each) == env.num_envs
+        _require(fits, "tables", f"must be {env.num_envs}")
+    without = dict.fromkeys(varied)
+    require_form({**state, **without}, {**like, **without}, "tables")
     for name in ("step_count", "episode_steps", "period"):
-        counts = state["simulation"][name]
+        counts = state[name]
         inside = bool((counts >= 0).all() and (counts < 2**31).all())
         _require(inside, "steps", "must not be below 0")
 

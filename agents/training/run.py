@@ -15,7 +15,6 @@ import torch
 from threadpoolctl import threadpool_limits
 
 import shake_env
-from agents.learning.vec_env import ShakeTableVecEnv
 from agents.plain_values import typed
 from agents.policies.policy_file import digest, load_policy
 from agents.progress import Progress
@@ -38,7 +37,7 @@ from agents.training.checkpoint import checkpoints, load_checkpoint, require_no_
 from agents.training.config import TrainConfig, read_config, require_same
 from agents.training.event_log import event_log
 from agents.training.model_factory import Model, new_model
-from agents.training.tables import training_tables
+from agents.training.tables import TrainingTables, base_tables, training_tables
 from agents.training.warm_start import first_file, load_actor_weights
 from agents.training.watch import TrainingWatch, learning_curve
 from shake_env.errors import RunDirectoryError
@@ -194,7 +193,7 @@ def finished(run: str | PathLike[str]) -> bool:
     return (run / POLICY).is_file()
 
 
-def _new(config: TrainConfig, file: Path | None) -> tuple[Model, ShakeTableVecEnv, Path | None]:
+def _new(config: TrainConfig, file: Path | None) -> tuple[Model, TrainingTables, Path | None]:
     """Return a new model on its tables, and the file of the policy that it begins with."""
     scenario = config.scenario.build()
     first = None if file is None else load_policy(file)
@@ -202,7 +201,7 @@ def _new(config: TrainConfig, file: Path | None) -> tuple[Model, ShakeTableVecEn
     torch.set_num_threads(config.threads)
     model = new_model(config, scenario, env, direct=first is not None and first.direct)
     if first is not None:
-        load_actor_weights(model, env, first)
+        load_actor_weights(model, base_tables(env), first)
     # After the model: SB3 seeds the environment with the run's own seed, so that the tables of run 1
     # would repeat those of run 0 but for one.
     env.seed(config.seed * RUN_SEEDS)
@@ -236,7 +235,7 @@ def _train_on(
 def _run(
     model: Model,
     config: TrainConfig,
-    env: ShakeTableVecEnv,
+    env: TrainingTables,
     run: Path,
     report: Callable[[Progress], None],
     command: str | None,

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from agents.learning.paired import PairedVecEnv
 from agents.learning.training_scenario import make_training_scenario, reward_scale
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import at_own_cost, base_law
 from agents.seeds import RUN_SEEDS
+from agents.training.algorithm_options import ProximalOptions
 from agents.training.artificial_motions import artificial_motions
 from agents.training.config import TrainConfig
 from shake_env.motion.targets import FilteredNoise, MotionSet
 from shake_env.scenario.scenario import Scenario
+
+TrainingTables = ShakeTableVecEnv | PairedVecEnv
 
 
 def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
@@ -28,13 +32,24 @@ def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
     return made
 
 
-def training_tables(config: TrainConfig, scenario: Scenario) -> ShakeTableVecEnv:
+def training_tables(config: TrainConfig, scenario: Scenario) -> TrainingTables:
     """Return the tables that a run trains on, with the law that its policy corrects."""
     chosen = config.chosen
-    return ShakeTableVecEnv(
+    paired, gain = getattr(chosen, "paired", False), getattr(chosen, "reward_gain", 1.0)
+    tables = ShakeTableVecEnv(
         training_scenario(config, scenario),
-        chosen.n_envs,
+        chosen.n_envs * (2 if paired else 1),
         base=base_law(chosen.base_controller, scenario, at_own_cost(scenario, config.scenario.scenario)),
         authority=chosen.residual_scale,
-        reward_scale=reward_scale(scenario, config.discount(scenario.control_period)),
+        reward_scale=gain * reward_scale(scenario, config.discount(scenario.control_period)),
     )
+    if not paired:
+        return tables
+    if isinstance(chosen, ProximalOptions):
+        return PairedVecEnv(tables, interval=chosen.n_steps)
+    return PairedVecEnv(tables, against="base")
+
+
+def base_tables(env: TrainingTables) -> ShakeTableVecEnv:
+    """Return the tables themselves, and behind them their shadows where they are paired."""
+    return env.tables if isinstance(env, PairedVecEnv) else env

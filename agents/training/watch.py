@@ -12,7 +12,6 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Figure
 
-from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.symmetry import mirror_averaged
 from agents.progress import Progress
 from agents.run_directory import BEST, EVALUATIONS, append_row, evaluations
@@ -22,7 +21,7 @@ from agents.training.checkpoint import save_checkpoint
 from agents.training.config import TrainConfig
 from agents.training.policy_export import export_policy
 from agents.training.progress import example_figure
-from agents.training.tables import training_scenario
+from agents.training.tables import TrainingTables, base_tables, training_scenario
 from baselines.lqr.oracle import oracle_controller
 from baselines.lqr.sampled import lqr
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
@@ -39,7 +38,7 @@ class TrainingWatch(BaseCallback):
     def __init__(
         self,
         config: TrainConfig,
-        env: ShakeTableVecEnv,
+        env: TrainingTables,
         run: Path,
         report: Callable[[Progress], None],
     ) -> None:
@@ -106,7 +105,7 @@ class TrainingWatch(BaseCallback):
 
     def evaluate(self) -> None:
         """Write the policy's mean cost on the fixed earthquakes down, and keep it if it is the best."""
-        policy = export_policy(self.model, self.tables, self.card)
+        policy = export_policy(self.model, base_tables(self.tables), self.card)
         if self.config.odd_symmetry:
             policy = mirror_averaged(policy)
         metrics, found = rollout(policy, self.scenario, self.earthquakes, record=(0,))

@@ -25,10 +25,12 @@ from shake_env.simulation.engine import (
     BoolArray,
     Episode,
     IntArray,
+    LaneState,
     Observations,
     StepResult,
     Tables,
 )
+from shake_env.simulation.excitation import motion_array
 from shake_env.simulation.helper_thread import Helper
 from shake_env.simulation.motion_shapes import first_target, initial_filter_state, shape
 from shake_env.simulation.output_pool import OutputPool
@@ -40,7 +42,7 @@ FOREVER = 1 << 62  # control periods of a table that only fills up a block
 LINE = 64  # [bytes] of a cache
 A_THREAD = 512  # tables that a thread has at least: fewer take no longer than to wake it
 _AT_REPORT, _AT_SEEN, _AT_ENDS = (PLACES[f"at_{name}"] for name in ("report", "seen", "ends"))
-# What a snapshot holds of each table, by field.
+# What a state holds of each table, by field.
 _CARRIED = ("key", "period", "state", "slipping", "last_target")
 
 
@@ -141,7 +143,7 @@ class CompiledEngine:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle by making the arrays anew, whose addresses are kept."""
-        return _made, (self._tables, self.snapshot())
+        return _made, (self._tables, self.get_state())
 
     def _fields(self, name: str) -> FloatArray:
         """Return a field of each block (blocks, rows, block), a view."""
@@ -386,18 +388,19 @@ class CompiledEngine:
             for name, values in lane_rows(self._tables).items():
                 self._fields(name)[block, :, column] = values[index]
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return everything that `restore` needs to go on exactly."""
+    def get_state(self) -> LaneState:
+        """Return everything that `set_state` needs to go on exactly; see `engine.Engine`."""
         whole = ("key", "period")
         held = {name: self._of_tables(name, name in whole) for name in _CARRIED}
+        known = self._known()[:, :, : self._packed.sizes["width"]]
         return {
-            "motions": list(self.motions),
+            "motion": motion_array(self.motions),
             **held,
             "period": held["period"][:, 0],
             "last_target": held["last_target"].reshape(self._tables.lanes, -1)[:, :1].sum(axis=1),
             "slipping": self._slipping(held["slipping"]),
-            "known": self._known()[:, :, : self._packed.sizes["width"]].copy(),
-            "memory": self.memory,
+            "known": known.swapaxes(0, 1).copy(),
+            **self.memory.arrays(),
             "step_count": self.step_count.copy(),
             "episode_steps": self.episode_steps.copy(),
             "severity": self.severity,
@@ -409,24 +412,24 @@ class CompiledEngine:
         whole[:, : held.shape[1]] = held
         return whole
 
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go on from a `snapshot` of tables of the same scenario and number."""
+    def set_state(self, state: LaneState) -> None:
+        """Go on from the state of as many tables of the same scenario."""
         self.number += 1
         sizes, rows = self._packed.sizes, self._packed.rows
-        self.motions = list(snapshot["motions"])
+        self.motions = state["motion"].tolist()
         for name, whole in (("key", True), ("state", False)):
-            self._put(name, snapshot[name], whole)
-        self._put("period", snapshot["period"][:, None], whole=True)
+            self._put(name, state[name], whole)
+        self._put("period", state["period"][:, None], whole=True)
         if sizes["yielding"]:
-            self._put("slipping", snapshot["slipping"])
-            self._put("last_target", snapshot["last_target"][:, None])
+            self._put("slipping", state["slipping"])
+            self._put("last_target", state["last_target"][:, None])
         self._wholes[:, rows["cursor"]] = 0
-        known = np.zeros((sizes["slots"], self._tables.lanes, sizes["stride"]))
-        known[:, :, : sizes["width"]] = snapshot["known"]
-        self._put("ring", known.swapaxes(0, 1).reshape(self._tables.lanes, -1))
-        self.memory = snapshot["memory"]
-        self._put("severity", snapshot["severity"][:, None])
-        self.step_count[:], self.episode_steps[:] = snapshot["step_count"], snapshot["episode_steps"]
+        known = np.zeros((self._tables.lanes, sizes["slots"], sizes["stride"]))
+        known[:, :, : sizes["width"]] = state["known"]
+        self._put("ring", known.reshape(self._tables.lanes, -1))
+        self.memory = SensorMemory.of(state)
+        self._put("severity", state["severity"][:, None])
+        self.step_count[:], self.episode_steps[:] = state["step_count"], state["episode_steps"]
         shapes = self._shapes.of(self.motions, set)
         self._put("shape", shapes[:, None], whole=True)
         self._wholes[:, rows["shape"]][self._wholes[:, rows["shape"]] == ZEROS] = ONES
@@ -485,7 +488,7 @@ def _aligned(shape: tuple[int, ...]) -> FloatArray:
     return memory[start : start + count].reshape(shape)
 
 
-def _made(tables: Tables, snapshot: dict[str, Any]) -> CompiledEngine:
+def _made(tables: Tables, state: LaneState) -> CompiledEngine:
     engine = CompiledEngine(tables)
-    engine.restore(snapshot)
+    engine.set_state(state)
     return engine

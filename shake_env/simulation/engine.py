@@ -21,6 +21,7 @@ from shake_env.simulation.transition import Outcome, TableModel
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
+LaneState = dict[str, NDArray[Any]]  # what tables go on from, arrays with a row a table
 Observations = NDArray[np.float32]
 
 
@@ -158,8 +159,11 @@ class Engine(Protocol):
     def redrawn(self, lanes: Sequence[int]) -> None:
         """Take the plants of some lanes from the model's stacks, which have changed."""
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return everything that `restore` needs to go on exactly; both engines' are alike."""
+    def get_state(self) -> LaneState:
+        """Return everything that `set_state` needs to go on exactly; both engines' are alike.
 
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go on from a `snapshot` of tables of the same scenario and number."""
+        Arrays with a row a table; ``motion`` is an array of objects.
+        """
+
+    def set_state(self, state: LaneState) -> None:
+        """Go on from the state of as many tables of the same scenario."""

@@ -6,9 +6,8 @@ batch has a motion and a key of random numbers of its own. What a preview shows 
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,13 @@ from shake_env.simulation.motion_shapes import first_target, initial_filter_stat
 
 IntArray = NDArray[np.int64]
 DRAWN = 32  # control periods whose normal numbers are made at once
+
+
+def motion_array(motions: Sequence[EpisodeMotion]) -> NDArray[Any]:
+    """Return motions as an array of objects, one a lane."""
+    array = np.empty(len(motions), dtype=object)
+    array[:] = motions
+    return array
 
 
 def periods_ahead(preview: tuple[int, int], substeps: int) -> int:
@@ -201,22 +207,22 @@ class Excitation:
         row[:, reference] = states[-1, :, : rows.reference]
         row[:, rows.target.stop : rows.target.stop + k] = shear.T
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return everything that `restore` needs to go on exactly, as arrays and motions."""
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """Return everything that `set_state` needs to go on exactly, arrays with a row a lane."""
         return {
-            "motions": list(self.motions),
+            "motion": motion_array(self.motions),
             "key": self.key.copy(),
             "period": self.period.copy(),
             "slipping": self._slipping.copy(),
             "last_target": self._last_target.copy(),
-            "known": np.stack(self._known),
+            "known": np.stack(self._known, axis=1),
         }
 
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go on from a `snapshot` of an excitation of the same plant and number of lanes."""
-        self.motions = list(snapshot["motions"])
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from the state of an excitation of the same plant and number of lanes."""
+        self.motions = state["motion"].tolist()
         self._shapes = [shape(motion, self._discrete, self.ahead) for motion in self.motions]
         for name in ("key", "period", "slipping", "last_target"):
-            getattr(self, name if name in ("key", "period") else f"_{name}")[...] = snapshot[name]
-        self._known = list(copy.deepcopy(snapshot["known"]))
+            getattr(self, name if name in ("key", "period") else f"_{name}")[...] = state[name]
+        self._known = list(state["known"].swapaxes(0, 1).copy())
         self._made_from[:] = -DRAWN

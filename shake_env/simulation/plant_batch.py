@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from shake_env.dynamics import nonlinear as nonlinear_dynamics
 from shake_env.dynamics import yielding_reference as reference
@@ -113,28 +113,33 @@ class Fleet:
         for name, stack in self._reference.items():
             stack[index] = getattr(maps.yielding, name)
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return everything that `restore` needs, as arrays and numbers."""
+    def _stacks(self) -> dict[str, FloatArray]:
+        """Return the matrices and numbers of the plants (N, ...) by the names that a state has."""
         stacks = {
-            "dynamics": self._dynamics,
-            "cost": self._cost,
-            "reference": self._reference,
-            "noise": self._noise,
-            "record": self._record,
-            "floors": self._floors,
+            f"plant_{group}_{part}": stack
+            for group in ("dynamics", "cost", "reference")
+            for part, stack in getattr(self, f"_{group}").items()
         }
-        return {**copy.deepcopy(stacks), "values": [dict(values) for values in self._values]}
+        stacks |= {"plant_noise": self._noise, "plant_record": self._record}
+        return stacks if self._floors is None else stacks | {"plant_floors": self._floors}
 
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Take the plants of a `snapshot`."""
-        for name in ("dynamics", "cost", "reference"):
-            for part, stack in getattr(self, f"_{name}").items():
-                stack[...] = snapshot[name][part]
-        self._noise[...], self._record[...] = snapshot["noise"], snapshot["record"]
-        if self._floors is not None:
-            self._floors[...] = snapshot["floors"]
-        self._values[:] = [dict(values) for values in snapshot["values"]]
-        self.plants[:] = [self.scenario.with_plant(values) for values in self._values]
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """Return everything that `set_state` needs, arrays with a row a table.
+
+        ``plant_values`` are dictionaries of what was drawn, by name.
+        """
+        values = np.empty(len(self._values), dtype=object)
+        values[:] = [dict(each) for each in self._values]
+        return {name: stack.copy() for name, stack in self._stacks().items()} | {"plant_values": values}
+
+    def set_state(self, state: Mapping[str, NDArray[Any]], lanes: Sequence[int]) -> None:
+        """Give the tables `lanes` the plants of a state of as many."""
+        for name, stack in self._stacks().items():
+            stack[lanes] = state[name]
+        for lane, values in zip(lanes, state["plant_values"], strict=True):
+            if values != self._values[lane]:
+                self._values[lane] = dict(values)
+                self.plants[lane] = self.scenario.with_plant(values)
 
 
 def _repeat(matrix: FloatArray, lanes: int) -> FloatArray:

@@ -18,6 +18,7 @@ from shake_env.scenario.limits import OBSERVATION_BOUND
 from shake_env.simulation.engine import (
     BoolArray,
     Episode,
+    LaneState,
     Observations,
     StepResult,
     Tables,
@@ -148,24 +149,24 @@ class ReferenceEngine:
     def redrawn(self, lanes: Sequence[int]) -> None:
         """Do nothing: the model is read anew in every period."""
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return everything that `restore` needs to go on exactly."""
+    def get_state(self) -> LaneState:
+        """Return everything that `set_state` needs to go on exactly; see `engine.Engine`."""
         return {
-            **self._excitation.snapshot(),
+            **self._excitation.get_state(),
             "state": self.state.copy(),
-            "memory": self.memory,  # frozen, and never changed in place
+            **self.memory.arrays(),
             "step_count": self.step_count.copy(),
             "episode_steps": self.episode_steps.copy(),
             "severity": self.severity.copy(),
         }
 
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go on from a `snapshot` of tables of the same scenario and number."""
+    def set_state(self, state: LaneState) -> None:
+        """Go on from the state of as many tables of the same scenario."""
         self.number += 1
-        self._excitation.restore(snapshot)
-        self.state, self.memory = snapshot["state"].copy(), snapshot["memory"]
+        self._excitation.set_state(state)
+        self.state, self.memory = state["state"].copy(), SensorMemory.of(state)
         for name in ("step_count", "episode_steps", "severity"):
-            getattr(self, name)[...] = snapshot[name]
+            getattr(self, name)[...] = state[name]
 
 
 def _bounded(scaled: FloatArray) -> Observations:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -27,6 +28,15 @@ class SensorMemory:
     def like(self, array: Array) -> SensorMemory:
         """Return this memory in the library, precision and device of `array`."""
         return SensorMemory(*(as_like(getattr(self, f.name), array) for f in fields(self)))
+
+    def arrays(self) -> dict[str, Array]:
+        """Return copies of the parts by the names that a simulation's state has them under."""
+        return {f"sensor_{f.name}": np.array(getattr(self, f.name)) for f in fields(self)}
+
+    @classmethod
+    def of(cls, state: Mapping[str, Array]) -> SensorMemory:
+        """Return the memory that a simulation's state holds."""
+        return cls(*(state[f"sensor_{f.name}"] for f in fields(cls)))
 
 
 @dataclass(frozen=True)

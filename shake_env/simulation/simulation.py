@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shake_env.dynamics.ground import GroundMaps, GroundPeriod
+from shake_env.errors import ScenarioError
 from shake_env.model.inputs import checked_action as checked_action
 from shake_env.model.parameters import FloatArray
 from shake_env.model.random_numbers import episode_key
@@ -22,6 +24,7 @@ from shake_env.simulation.engine import (
     Engine,
     Episode,
     IntArray,
+    LaneState,
     Observations,
     StepResult,
     Tables,
@@ -178,17 +181,64 @@ class Simulation:
         cost: FloatArray = tables.limit_rate * self.engine.severity * remaining
         return cost
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return everything that `restore` needs to go on exactly."""
-        fleet = None if self.fleet is None else self.fleet.snapshot()
-        return {**self.engine.snapshot(), "fleet": fleet}
+    def get_state(self, lanes: Sequence[int] | None = None) -> LaneState:
+        """Return everything that tables go on from; each is then where it stood, to the bit.
 
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go on from a `snapshot` of a simulation of the same scenario and number of lanes."""
+        Parameters
+        ----------
+        lanes
+            Indices of the tables; None: all N.
+
+        Returns
+        -------
+        Arrays with one row a table: plant state with the commands under way, sensors, ground and
+        preview, key and counters of the random numbers, place in the episode, and a drawn plant. Two
+        are arrays of objects: ``motion``, and ``plant_values`` of a drawn plant.
+        """
+        state = self.engine.get_state()
         if self.fleet is not None:
-            self.fleet.restore(snapshot["fleet"])
-            self.engine.redrawn(range(self.lanes))
-        self.engine.restore(snapshot)
+            state |= self.fleet.get_state()
+        if lanes is None:
+            return state
+        index = self._index(lanes)
+        return {name: array[index] for name, array in state.items()}
+
+    def set_state(self, state: Mapping[str, NDArray[Any]], lanes: Sequence[int] | None = None) -> None:
+        """Put tables where others stood; the rest goes on as it was.
+
+        Parameters
+        ----------
+        state
+            What :meth:`get_state` returned, of a simulation of the same scenario.
+        lanes
+            Indices of the tables that take its rows, in order; None: all N.
+
+        Raises
+        ------
+        ScenarioError
+            If the state is of another scenario or of another number of tables.
+        """
+        index = self._index(range(self.lanes) if lanes is None else lanes)
+        whole = self.get_state()
+        if set(whole) != set(state):
+            odd = sorted(set(whole) ^ set(state))
+            raise ScenarioError("state", odd, "only one has it: take the state of the same scenario")
+        for name, own in whole.items():
+            given = np.asarray(state[name])
+            if given.shape != (len(index), *own.shape[1:]) or given.dtype != own.dtype:
+                wanted = f"must be {own.dtype} of shape {(len(index), *own.shape[1:])}"
+                raise ScenarioError(f"state {name}", (str(given.dtype), given.shape), wanted)
+            own[index] = given
+        if self.fleet is not None:
+            self.fleet.set_state(state, index.tolist())
+            self.engine.redrawn(index.tolist())
+        self.engine.set_state(whole)
+
+    def _index(self, lanes: Sequence[int]) -> IntArray:
+        index = np.asarray(lanes, dtype=np.int64)
+        if index.ndim != 1 or not np.isin(index, np.arange(self.lanes)).all():
+            raise ScenarioError("lanes", lanes, f"must be indices of tables, 0 to {self.lanes - 1}")
+        return index
 
 
 def _engine(tables: Tables) -> Engine:
@@ -207,6 +257,14 @@ def earthquake_stream(seed: int) -> np.random.Generator:
     ``reset(seed=S)`` of an environment are both this.
     """
     return np.random.default_rng(seed)
+
+
+def stream_array(streams: Iterable[np.random.Generator | None]) -> NDArray[Any]:
+    """Return copies of generators, where they stand, as an array of objects (N,)."""
+    copies = copy.deepcopy(list(streams))
+    array = np.empty(len(copies), dtype=object)
+    array[:] = copies
+    return array
 
 
 def episode_stream(generator: np.random.Generator) -> np.random.Generator:

@@ -80,10 +80,10 @@ def test_snapshot_goes_on_exactly():
     action = np.full((3, 1), 0.05)
     for _ in range(70):
         env.step(action)
-    kept = env.snapshot()
+    kept = env.get_state()
     once = [env.step(action)[0] for _ in range(150)]
     other = ShakeTableVecEnv(env.scenario, 3)
-    other.restore(kept)
+    other.set_state(kept)
     again = [other.step(action)[0] for _ in range(150)]
     np.testing.assert_array_equal(once, again)
 

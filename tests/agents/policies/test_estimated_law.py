@@ -142,7 +142,7 @@ def test_a_window_and_a_file_are_what_the_environment_does(name, memory, tmp_pat
     policy = load_policy(path)
     assert policy.observation_size == scenario.observation.size
     other = ShakeTableVecEnv(scenario, 3, base=env.law, authority=0.3, reward_scale=0.01)
-    other.restore(env.snapshot())
+    other.set_state(env.get_state())
     shown, state, begun = other._look(), None, np.ones(3, dtype=bool)
     own = None
     for number in range(7):
@@ -175,10 +175,10 @@ def test_the_gradient_goes_through_the_estimator():
     for _ in range(3):
         _, window, _ = model.window_loss()
         model.tables.sync_env(window)
-    start = env.snapshot()
+    start = env.get_state()
 
     def loss():
-        env.restore(start)
+        env.set_state(start)
         return model.window_loss()[0]
 
     gradient = torch.cat([g.flatten() for g in torch.autograd.grad(loss(), model._actor)]).numpy()

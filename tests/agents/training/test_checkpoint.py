@@ -141,9 +141,9 @@ def altered(file, change):
         lambda state, arrays: state["counters"].update(num_timesteps=-1),
         lambda state, arrays: state["counters"].update(num_timesteps="64"),
         lambda state, arrays: arrays.update({n: a - 99 for n, a in arrays.items() if "period" in n}),
-        lambda state, arrays: state["tables"]["simulation"].update(motions=[7, 7]),
-        lambda state, arrays: state["tables"]["streams"].pop(),
-        lambda state, arrays: state["tables"]["streams"][0].update(bits="MT19937"),
+        lambda state, arrays: state["tables"].update(motion=[7, 7]),
+        lambda state, arrays: state["tables"]["stream"].pop(),
+        lambda state, arrays: state["tables"]["stream"][0].update(bits="MT19937"),
         lambda state, arrays: state["generators"]["numpy"].update(pos=-5),
         lambda state, arrays: state.update(action_space=None),
         lambda state, arrays: arrays.update(

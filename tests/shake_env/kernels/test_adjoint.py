@@ -134,11 +134,11 @@ def test_a_window_through_the_compiled_plant_is_the_references(name, overrides, 
     env = ShakeTableVecEnv(make_scenario(name, overrides), 5)
     env.seed(3)
     env.reset()
-    start = env.snapshot()
+    start = env.get_state()
 
     def window(compiled):
         monkeypatch.setattr(numba_support, "COMPILED", compiled)
-        env.restore(start)
+        env.set_state(start)
         tables = WindowRollout(env)
         assert isinstance(tables.model.dynamics, CompiledPeriod) == compiled
         shown = env.observation.shape[1]

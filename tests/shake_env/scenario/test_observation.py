@@ -246,10 +246,10 @@ def test_a_lane_is_reproducible_on_its_own():
 def test_snapshot_goes_on_exactly():
     scenario = make_scenario("laboratory", {"duration": 4.0, "fields": {"sensing.history": 2}})
     simulation, *_ = follow(scenario, 70, 3)
-    kept = simulation.snapshot()
+    kept = simulation.get_state()
     once = [simulation.step(np.full(3, 0.05)).observation for _ in range(150)]
     other = Simulation(scenario, 3)
-    other.restore(kept)
+    other.set_state(kept)
     again = [other.step(np.full(3, 0.05)).observation for _ in range(150)]
     np.testing.assert_array_equal(once, again)
 

@@ -227,7 +227,7 @@ def test_a_snapshot_of_one_engine_goes_on_in_the_other():
     compiled.start(range(3), streams(range(3), 0))
     for _ in range(30):
         compiled.step(np.full(3, 0.1))
-    plain.restore(pickle.loads(pickle.dumps(compiled.snapshot())))
+    plain.set_state(pickle.loads(pickle.dumps(compiled.get_state())))
     for _ in range(30):
         ours, theirs = compiled.step(np.full(3, 0.1)), uncompiled(lambda: plain.step(np.full(3, 0.1)))
         np.testing.assert_allclose(ours.observation, theirs.observation, rtol=1e-5, atol=1e-6)

@@ -274,11 +274,11 @@ def test_snapshot_and_restore_go_on_exactly(steps):
     excitation.start(range(5), MOTIONS, keys(*range(5)))
     for _ in range(steps):
         excitation.advance()
-    saved = pickle.loads(pickle.dumps(excitation.snapshot()))
+    saved = pickle.loads(pickle.dumps(excitation.get_state()))
     expected = joined([taken(excitation) for _ in range(200)])
     other = Excitation(scenario.discrete, 5)
     for twin in (other, excitation):  # a fresh one, and the one that has gone on
-        twin.restore(saved)
+        twin.set_state(saved)
         found = joined([taken(twin) for _ in range(200)])
         for part in PARTS:
             assert np.array_equal(found[part], expected[part])
@@ -298,10 +298,10 @@ def test_simulation_snapshot_goes_on_exactly():
         ]
 
     play(simulation, actions[:70])
-    saved = pickle.loads(pickle.dumps(simulation.snapshot()))
+    saved = pickle.loads(pickle.dumps(simulation.get_state()))
     expected = play(simulation, actions[70:])
     twin = Simulation(scenario, 3)
-    twin.restore(saved)
+    twin.set_state(saved)
     for a, b in zip(play(twin, actions[70:]), expected, strict=True):
         assert np.array_equal(a, b)
     assert expected[4].max() > 0.0  # a limit's cost knows the motion too

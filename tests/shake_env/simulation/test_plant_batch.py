@@ -176,7 +176,7 @@ def test_a_snapshot_keeps_the_plants():
     scenario = uncertain()
     simulation, other = Simulation(scenario, 3), Simulation(scenario, 3)
     run(simulation, 40, range(3), range(3))
-    other.restore(simulation.snapshot())
+    other.set_state(simulation.get_state())
     for _ in range(80):
         one, two = simulation.step(np.full(3, 0.05)), other.step(np.full(3, 0.05))
         np.testing.assert_array_equal(one.observation, two.observation)

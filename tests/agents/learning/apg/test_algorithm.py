@@ -49,10 +49,10 @@ def test_gradient_of_a_windows_cost_agrees_with_finite_differences(name, overrid
         _, window, _ = model.window_loss()
         model.tables.sync_env(window)
     model._last_episode_starts[:] = False
-    start, memory = model.env.snapshot(), model.memory
+    start, memory = model.env.get_state(), model.memory
 
     def loss():
-        model.env.restore(start)
+        model.env.set_state(start)
         model.memory = memory
         return model.window_loss()[0]
 
@@ -79,7 +79,7 @@ def test_a_window_is_what_the_environment_does_under_the_same_policy(name, memor
     scenario = make_scenario(name, {"duration": 0.2} if name != "records" else {})
     model = model_on(scenario, lanes=4, memory=memory, gain=0.005)
     other = ShakeTableVecEnv(scenario, 4, reward_scale=0.01)
-    other.restore(model.env.snapshot())
+    other.set_state(model.env.get_state())
     observation, state = other.observation, None
     begun = np.ones(4, dtype=bool)
     for _ in range(3):
@@ -287,9 +287,9 @@ def test_another_environment_is_refused_with_the_remedy():
 def test_single_precision_follows_double():
     scenario = make_scenario("laboratory")
     model = model_on(scenario)
-    start = model.env.snapshot()
+    start = model.env.get_state()
     double = model.window_loss()[0].item()
-    model.env.restore(start)
+    model.env.set_state(start)
     model._tables = WindowRollout(model.env, dtype=torch.float32)
     # Eps of 1e-7 a step through an oil column whose pressure is a difference of large flows.
     assert model.window_loss()[0].item() == pytest.approx(double, rel=1e-3)

@@ -46,11 +46,11 @@ def test_the_sweep_is_the_gradient_of_torch(case, monkeypatch):
     for _ in range(2):  # away from rest
         model.tables.sync_env(model.window_loss()[1])
     model.env.simulation.episode_steps[1] = model.env.simulation.step_count[1] + 5  # ends in the window
-    start = model.env.snapshot()
+    start = model.env.get_state()
     results = []
     for loop in (WindowRollout.loop, property(lambda self: None)):
         monkeypatch.setattr(WindowRollout, "loop", loop)
-        model.env.restore(start)
+        model.env.set_state(start)
         loss, window, seen = model.window_loss()
         gradient = torch.cat([g.flatten() for g in torch.autograd.grad(loss, model._actor)]).numpy()
         shown, _, _ = model.tables.sync_env(window)

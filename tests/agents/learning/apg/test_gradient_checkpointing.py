@@ -71,11 +71,11 @@ def test_a_window_in_segments_has_the_whole_windows_gradient(name, overrides, op
     model = estimated(scenario) if name == "laboratory" else model_on(scenario, **options)
     model.policy.double()
     model.slow_policy.double()
-    start = model.env.snapshot()
+    start = model.env.get_state()
 
     def both(checkpoint):
         model.checkpoint = checkpoint
-        model.env.restore(start)
+        model.env.set_state(start)
         model.memory = None
         loss, window, _ = model.window_loss()
         gradients = torch.autograd.grad(loss, model._actor, allow_unused=True)
@@ -91,12 +91,12 @@ def test_a_window_in_segments_has_the_whole_windows_gradient(name, overrides, op
 @pytest.mark.usefixtures("torch_alone")
 def test_what_a_gradient_keeps_falls_with_the_segment():
     model = model_on(make_scenario("linear"), lanes=16, window=64, terminal_value=False)
-    start = model.env.snapshot()
+    start = model.env.get_state()
 
     def kept(checkpoint):
         """Bytes that the graph of a window holds on to when all of it has been followed."""
         model.checkpoint = checkpoint
-        model.env.restore(start)
+        model.env.set_state(start)
         held = {}
 
         def pack(tensor):
