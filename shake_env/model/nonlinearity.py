@@ -79,7 +79,7 @@ class Friction:
 class ServoValve:
     """Orifice flow, saturation, rate limit, dead band and second-order dynamics of the servovalve.
 
-    ``Q = K_q x_e sqrt(max(0, 1 - sgn(x_v) p_l / P_s))``, x_e the spool position outside the dead band
+    ``Q = K_q x_e sqrt(max(1e-6, 1 - sgn(x_v) p_l / P_s))``, x_e the spool position outside the dead band
     (Merritt, Hydraulic Control Systems, 1967, ch. 5); at p_l = 0 without a dead band it is the linear
     valve's K_q x_v.
 
