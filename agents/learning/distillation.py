@@ -199,6 +199,9 @@ class Distillation(BaseAlgorithm):
         self.policy.set_training_mode(True)
         rate = self.lr_schedule(self._current_progress_remaining)
         update_learning_rate(self.policy.optimizer, rate)
+        # In units of the labels, so that neither the bound on the gradient nor Adam's epsilon minds them.
+        size = sum(float(np.sum(each.correction**2)) for each in self.rounds)
+        unit = max(size / sum(each.samples for each in self.rounds), 1e-12)
         losses = []
         for _ in range(self.n_epochs):
             for shown, label, begun, memory in self._batches():
@@ -206,7 +209,7 @@ class Distillation(BaseAlgorithm):
                 for t in range(len(shown)):
                     mean, memory = self._mean(shown[t], memory, begun[t])
                     errors.append((mean - label[t]).square().mean())
-                loss = torch.stack(errors).mean()
+                loss = torch.stack(errors).mean() / unit
                 self.policy.optimizer.zero_grad(set_to_none=True)
                 loss.backward()  # type: ignore[no-untyped-call]
                 torch.nn.utils.clip_grad_norm_(self.policy.parameters(), 1.0)
@@ -214,7 +217,7 @@ class Distillation(BaseAlgorithm):
                 losses.append(loss.item())
         self._n_updates += len(losses)
         newest = self.rounds[-1]
-        self.logger.record("train/loss", float(np.mean(losses)))
+        self.logger.record("train/unexplained", float(np.mean(losses)))
         self.logger.record("train/label_rms", float(np.sqrt(np.mean(newest.correction**2))))
         self.logger.record("train/labels_at_bound", float(np.mean(np.abs(newest.correction) >= 1.0)))
         self.logger.record("train/labels", sum(each.samples for each in self.rounds))
