@@ -12,7 +12,8 @@ install: .venv/installed
 	touch $@
 
 demo: install
-	$(BIN)/shake compare
+	$(BIN)/shake compare --scenario records --controllers none tvc lqg nmpc ppo --num-noise-motions 0 \
+		--report out/demo --force
 
 test: install
 	$(BIN)/ruff check .

@@ -27,7 +27,7 @@ def code_version() -> str | None:
 
 
 def _git(*arguments: str) -> str:
-    told = subprocess.run(
+    process = subprocess.run(
         ["git", *arguments],
         cwd=Path(__file__).parents[1],
         capture_output=True,
@@ -35,7 +35,7 @@ def _git(*arguments: str) -> str:
         check=True,
         timeout=10,
     )
-    return told.stdout.strip()
+    return process.stdout.strip()
 
 
 def machine() -> str:

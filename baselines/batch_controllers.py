@@ -43,13 +43,13 @@ class PerLane:
                 "observation shape", observation.shape, f"needs {len(self.controllers)} lanes"
             )
         memories = (None,) * len(observation) if state is None else state
-        actions, kept = [], []
+        actions, next_memories = [], []
         for lane, controller in enumerate(self.controllers):
             begins = None if episode_start is None else episode_start[lane : lane + 1]
             action, memory = decide(controller, observation[lane], memories[lane], begins, deterministic)
             actions.append(action)
-            kept.append(memory)
-        return np.stack(actions), tuple(kept)
+            next_memories.append(memory)
+        return np.stack(actions), tuple(next_memories)
 
 
 class _Rows:
@@ -87,9 +87,9 @@ class Rescaled:
         return decide(self._controller, scaled, state, episode_start, deterministic)
 
 
-def rescaling(seen: Scenario, plant: Scenario) -> NDArray[np.float64]:
-    """Return what turns a full-state observation (n,) of `seen` into one of `plant`'s, by product."""
-    factor = np.ones(seen.observation.size)
-    scale = seen.plant.state_scale
+def rescaling(observed: Scenario, plant: Scenario) -> NDArray[np.float64]:
+    """Return the factors (n,) from a full-state observation of `observed` to one of `plant`."""
+    factor = np.ones(observed.observation.size)
+    scale = observed.plant.state_scale
     factor[: len(scale)] = scale / plant.plant.state_scale
     return factor

@@ -15,6 +15,7 @@ from typing import Literal
 from baselines.estimation.adaptive import certainty_equivalence
 from baselines.estimation.estimator_model import ModelError
 from baselines.estimation.lqg import estimated
+from baselines.information import Information, scenario_information
 from baselines.iterative.ilc import norm_optimal_learning
 from baselines.iterative.transfer_function_iteration import IterationPlan, transfer_function_iteration
 from baselines.lqr.continuous import continuous_lqr
@@ -26,6 +27,7 @@ from baselines.lqr.multi_model import drawn_models, multi_model_lqr
 from baselines.lqr.preview import PreviewFeedback, with_preview
 from baselines.lqr.sampled import LinearFeedback, lqr
 from baselines.planning.adaptive import AdaptivePredictiveControl
+from baselines.planning.model import PlanningModel
 from baselines.planning.nmpc import NMPCSettings, NonlinearPredictiveControl
 from baselines.planning.planned import PlannedControl, plan_records
 from baselines.servo.disturbance_observer import DisturbanceObserver, ObserverDesign
@@ -74,6 +76,22 @@ class Baseline:
     tunable: Mapping[str, Tunable] = field(default_factory=dict)
     tests: int = 1  # of each earthquake that using it takes, the one that counts included
     knows_motion: bool = False  # whether the whole motion is known before the test
+    check: Callable[[Scenario], object] | None = None  # raises where a scenario does not suit, at once
+    uses_preview: bool = True  # whether it, or its estimator, uses the coming samples that are shown
+
+    @property
+    def class_name(self) -> Information:
+        """Class of what it knows of the motion where the scenario shows a preview."""
+        if self.tests > 1:
+            return "repeated tests"
+        if self.knows_motion:
+            return "record known"
+        return "preview" if self.uses_preview else "causal"
+
+    def information(self, scenario: Scenario) -> Information:
+        """Return the class of what it knows of the motion on a scenario."""
+        own = self.class_name
+        return scenario_information(scenario) if own == "preview" else own
 
     @property
     def takes_earthquakes(self) -> bool:
@@ -284,11 +302,17 @@ _CUTOFF = Tunable(10.0, 200.0, 40.0, natural="high")  # past half the control ra
 _ALPHA = Tunable(0.003, 30.0, 1.0, natural="low")  # without adaptation
 
 BASELINES: dict[str, Baseline] = {
-    "none": Baseline(lambda scenario: NoControl(), "the uncontrolled table (zero valve current)"),
-    "lqr-continuous": Baseline(
-        _continuous, "the paper's LQR, designed in continuous time and held between samples"
+    "none": Baseline(
+        lambda scenario: NoControl(),
+        "the uncontrolled table (zero valve current)",
+        uses_preview=False,
     ),
-    "lqr": Baseline(lqr, "sampled-data LQR on the full state, without preview"),
+    "lqr-continuous": Baseline(
+        _continuous,
+        "the paper's LQR, designed in continuous time and held between samples",
+        uses_preview=False,
+    ),
+    "lqr": Baseline(lqr, "sampled-data LQR on the full state, without preview", uses_preview=False),
     "preview-lqr": Baseline(
         _preview, "preview LQR with a displacement weight", {"displacement_tolerance": _TOLERANCE}
     ),
@@ -337,6 +361,7 @@ BASELINES: dict[str, Baseline] = {
         "the whole motion planned before the test, with feedback along the plan",
         {"model_error_scale": Tunable(0.003, 30.0, 0.1, natural="low")},
         knows_motion=True,
+        check=PlanningModel.of,
     ),
     "multi-model": Baseline(
         _multi_model,
@@ -360,8 +385,14 @@ BASELINES: dict[str, Baseline] = {
         _pid,
         "PID on displacement, velocity fed forward",
         {"bandwidth": Tunable(0.02, 8.0, 1.0, natural="low")},
+        uses_preview=False,
     ),
-    "tvc": Baseline(_tvc, "three-variable control", {"bandwidth": _BANDWIDTH, "damping": _DAMPING}),
+    "tvc": Baseline(
+        _tvc,
+        "three-variable control",
+        {"bandwidth": _BANDWIDTH, "damping": _DAMPING},
+        uses_preview=False,
+    ),
     "tvc-dob": Baseline(
         _tvc_dob,
         "three-variable control with a disturbance observer",
@@ -370,11 +401,13 @@ BASELINES: dict[str, Baseline] = {
             "bandwidth": _BANDWIDTH,
             "damping": _DAMPING,
         },
+        uses_preview=False,
     ),
     "mcs": Baseline(
         _mcs,
         "minimal control synthesis around three-variable control",
         {"alpha": _ALPHA, "bandwidth": Tunable(1.0, 30.0, 4.0)},
+        uses_preview=False,
     ),
     "mcs-bounded": Baseline(
         _mcs_bounded,
@@ -384,6 +417,7 @@ BASELINES: dict[str, Baseline] = {
             "bandwidth": Tunable(1.0, 30.0, 4.0),
             "leakage": Tunable(0.02, 20.0, 0.2, natural="high"),
         },
+        uses_preview=False,
     ),
     "inverse-ff": Baseline(_inverse, "inverse-model feed-forward alone", {"cutoff": _CUTOFF}),
     "inverse-ff-tvc": Baseline(

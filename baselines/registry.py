@@ -152,6 +152,8 @@ def designed(
     values = {each: tunable.default for each, tunable in baseline.tunable.items()} | dict(parameters)
     if not baseline.takes_earthquakes:
         return baseline.make(scenario, **values)
+    if baseline.check is not None:
+        baseline.check(scenario)
     if earthquakes is None:
         why = "repeats its tests" if baseline.tests > 1 else "plans its motion"
         raise ScenarioError("controller", name, f"{why} beforehand: use shake compare")

@@ -23,7 +23,7 @@ from agents.reporting.markdown_blocks import put
 from benchmarks.arithmetic import closed_loops, kernel
 from benchmarks.decision import decisions
 from benchmarks.device import device
-from benchmarks.environments import single, vectors
+from benchmarks.environments import resets, single, threads, vectors
 from benchmarks.figure import draw
 from benchmarks.footprint import footprint
 from benchmarks.learning import learning
@@ -55,6 +55,8 @@ def groups(quick: bool) -> dict[str, Callable[[], dict[str, Any]]]:
         "machine": machine,
         "single": lambda: single(spell, spells),
         "vector": lambda: vectors(spell, spells),
+        "threads": lambda: threads(spell, spells),
+        "resets": lambda: resets(spell, spells),
         "peers": lambda: peers(spell, spells),
         "arithmetic": lambda: kernel(spell, spells),
         "closed loops": lambda: closed_loops(200 if quick else 1000),

@@ -109,7 +109,7 @@ def _step(name: str, options: dict[str, Any], tables: int, kind: str) -> tuple[A
     model = torch_model(simulation.model, like)
     ground = _wide(simulation.advance_ground()[0].like(like), tables)
     memory = _wide(simulation.memory.like(like), tables)
-    readings = memory.filtered.shape[-1]
+    readings = memory.bias.shape[-1]
     noise = torch.zeros((tables, readings), device=kind)
     action = torch.zeros(tables, device=kind)
     state = torch.zeros((tables, simulation.state.shape[1]), device=kind)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -111,3 +112,32 @@ def vectors(spell: float, spells: int) -> dict[str, dict[str, float]]:
         rates = seconds_each(work, spell, spells)
         found[f"{number} tables"] = {name: number * STEPS / each for name, each in rates.items()}
     return found
+
+
+def threads(spell: float, spells: int) -> dict[str, dict[str, float]]:
+    """Return the table-steps a second, by the wall clock, with two threads beside CartPole's one."""
+    rates = {}
+    for number in (1024, 4096):
+        cart = gymnasium.make_vec(
+            "CartPole-v1", num_envs=number, vectorization_mode="vector_entry_point"
+        )
+        still = np.zeros((number, 1), dtype=np.float32)
+        work = {"CartPole-v1": vector(cart, np.ones(number, dtype=np.int64))}
+        for count, name in ((1, "linear"), (2, "linear, two threads")):
+            tables = shake_vector(number, "linear", stories=STORIES, threads=count)
+            work[name] = vector(tables, still)
+        each = seconds_each(work, spell, spells, time.perf_counter)
+        rates[f"{number} tables"] = {name: number * STEPS / s for name, s in each.items()}
+    return rates
+
+
+def resets(spell: float, spells: int) -> dict[str, float]:
+    """Return the seconds of a reset, through `gymnasium.make`."""
+
+    def again(scenario: str) -> Callable[[], object]:
+        env = shake(scenario)
+        env.reset(seed=0)
+        return lambda: [env.reset() for _ in range(10)]
+
+    work = {name: again(name) for name in ("linear", "laboratory", "unknown-specimen")}
+    return {name: each / 10 for name, each in seconds_each(work, spell, spells).items()}

@@ -46,29 +46,18 @@ def number(value: float) -> str:
 
 
 SINGLE = (
-    "A step of CartPole is some twenty operations on python floats and takes 6 us, of which Gymnasium's "
-    "wrappers and the call take 1. Of ours, 3.9 us undisturbed, a compiled call takes 1.6, of which 0.5 "
-    "hand over its arguments and 0.4 read what it reports; the ground takes 0.6, and the rest are the "
-    "wrappers, the check of the action and `info`. Two and a half times CartPole's speed were 2.4 us."
-)
-LABORATORY = (
-    "Five physics steps of a laboratory period, each with two evaluations of friction, valve and stops "
-    "in float64, take 1.4 us beside what a linear step costs."
+    "A linear step of one table takes 2.7 us, of which a compiled call takes half; the rest are "
+    "Gymnasium's wrappers, the check of the action, and `info`."
 )
 VECTOR = (
-    "Vectorised CartPole steps four float32 states with one explicit step and no random numbers: 85 ns "
-    "a table at 1024 tables, so that four times its speed were 21 ns. Drawing a table's ten normal "
-    "numbers alone takes as long as CartPole's step; cost, limits and 26 observed numbers twice that."
+    "A table takes 96 ns at 256 tables and at 1024: random numbers a fifth, the products a third; cost, "
+    "limits, and turning rows of quantities into rows of tables the rest. Vectorised CartPole, four "
+    "float32 states in a dozen calls of numpy, falls from 1300 ns a table at 64 to 120 at 1024, where "
+    "its calls cost nothing any more."
 )
-WIDE_LABORATORY = (
-    "1.5 million a second are 670 ns a table: 250 to 300 go into the compiled step's five physics "
-    "steps, 100 to 150 into the normal numbers of ground and sensors, 60 to 110 into the ground filter "
-    "and the reference specimen."
-)
-GYMNAX = (
-    "gymnax steps four float32 states once a table, in 0.3 us of a call for 1024; of ours two fifths "
-    "are the update with its cost, limits and observations, a fifth random numbers, a quarter the "
-    "ground filter and the reference specimen, and the rest the arrays handed out."
+DUMMY = (
+    "A table in a batch of 64 takes 0.3 us as SB3 asks for it, of which 0.2 are the compiled step and "
+    "what remains are 64 dictionaries, copies and casts of SB3's interface."
 )
 TEXTBOOK = (
     "Blocks of nine take 98 multiply-adds a sample, 20 ms at the machine's peak, which products of 40 "
@@ -77,27 +66,21 @@ TEXTBOOK = (
 )
 PPO_ROLLOUT = (
     "A roll-out's other work is a pass of two networks and SB3's bookkeeping, some hundred operations "
-    "of torch and numpy at a few us each: 400 us. A tenth of the whole leaves 45 us for 64 tables, 0.7 "
-    "us each."
+    "of torch and numpy at a few us each: 400 us a period. 6 % of the whole leave 25 us for 64 tables; "
+    "15 % leave 70 us, where the estimator's two matrix products alone take 20 to 30."
 )
-PPO_ALL = (
-    "An update of two networks of 64 x 64 by ten passes over the 8192 samples of a roll-out takes 0.2 "
-    "to 0.3 s; 2 % of that leaves 0.6 us for a sample's step, and at 64 tables a linear one takes 0.8 "
-    "as SB3 asks for it. Behind an estimator, whose batch is numpy's, it is more."
-)
-DUMMY = (
-    "SB3's DummyVecEnv steps CartPole in 9 us an environment, of which a fortieth is 0.22 us; a table "
-    "in a batch of 64 takes 0.6 to 0.8, for random numbers, the update, and 64 dictionaries, copies "
-    "and casts that SB3's interface asks for."
+RESET = (
+    "A table with a specimen of its own needs its matrices over a control period: a matrix exponential "
+    "of the coupled plant and those of the reference specimen, and the noise that they pass on."
 )
 
 
 def goals(found: dict[str, Any]) -> list[Goal]:
     """Return the goals of every group that was measured."""
     groups = {
-        "single": _single, "vector": _vector, "peers": _peers, "arithmetic": _arithmetic,
-        "closed loops": _closed_loops, "learning": _learning, "decision": _decision,
-        "footprint": _footprint,
+        "single": _single, "vector": _vector, "threads": _threads, "resets": _resets,
+        "peers": _peers, "arithmetic": _arithmetic, "closed loops": _closed_loops,
+        "learning": _learning, "decision": _decision, "footprint": _footprint,
     }  # fmt: skip
     return [goal for name, group in groups.items() if name in found for goal in group(found[name])]
 
@@ -106,40 +89,50 @@ def _single(rates: dict[str, float]) -> Iterator[Goal]:
     cart = rates["CartPole-v1"]
     linear, laboratory = rates["linear, n_m = 5"] / cart, rates["laboratory"] / cart
     tall = rates["linear, n_m = 2"] / rates["linear, n_m = 10"]
-    yield Goal(what="one linear table beside CartPole-v1", bound=2.5, found=linear, why=SINGLE)
+    yield Goal(what="one linear table beside CartPole-v1", bound=3.0, found=linear, why=SINGLE)
     yield Goal(what="cost of 10 storeys beside 2", bound=1.2, found=tall, at_least=False)
-    yield Goal(what="one laboratory beside CartPole-v1", bound=1.0, found=laboratory, why=LABORATORY)
+    yield Goal(what="one laboratory beside CartPole-v1", bound=2.0, found=laboratory, why=SINGLE)
 
 
 def _vector(found: dict[str, dict[str, float]]) -> Iterator[Goal]:
+    bounds = {"64 tables": 4.5, "256 tables": 4.0, "1024 tables": 1.5}
     for tables, rates in found.items():
         ratio = rates["linear"] / rates["CartPole-v1"]
         what = f"{tables}, linear, beside vectorised CartPole"
-        yield Goal(what=what, bound=4.0, found=ratio, why=VECTOR)
+        yield Goal(what=what, bound=bounds[tables], found=ratio, why=VECTOR)
     sb3 = found["64 tables"]
     ratio = sb3["linear, SB3 VecEnv"] / sb3["CartPole-v1, SB3 DummyVecEnv"]
     yield Goal(
-        what="64 tables for SB3 beside DummyVecEnv of CartPole", bound=40.0, found=ratio, why=DUMMY
+        what="64 tables for SB3 beside DummyVecEnv of CartPole", bound=50.0, found=ratio, why=DUMMY
     )
     wide = found["1024 tables"]
-    yield Goal(
-        what="1024 tables, laboratory",
-        bound=1.5e6,
-        found=wide["laboratory"],
-        unit="table-steps/s",
-        why=WIDE_LABORATORY,
-    )
     each = wide["laboratory"] / wide["laboratory, a specimen each"]
     yield Goal(what="cost of a specimen each", bound=2.0, found=each, at_least=False)
 
 
+def _threads(found: dict[str, dict[str, float]]) -> Iterator[Goal]:
+    bounds = {"1024 tables": 2.5, "4096 tables": 1.5}
+    for tables, rates in found.items():
+        ratio = rates["linear, two threads"] / rates["CartPole-v1"]
+        what = f"{tables}, linear, two threads, beside vectorised CartPole"
+        yield Goal(what=what, bound=bounds[tables], found=ratio, why=VECTOR)
+
+
+def _resets(seconds: dict[str, float]) -> Iterator[Goal]:
+    for name, bound in (("linear", 0.05), ("laboratory", 0.08), ("unknown-specimen", 0.3)):
+        taken, why = 1e3 * seconds[name], RESET if name == "unknown-specimen" else ""
+        what = f"a reset of {name}"
+        yield Goal(what=what, bound=bound, found=taken, at_least=False, unit="ms", why=why)
+
+
 def _peers(found: dict[str, Any]) -> Iterator[Goal]:
+    bounds = {"256 tables": 3.0, "1024 tables": 2.0}
     for tables, rates in found.items():
         if tables == "unavailable":
             return
         ratio = rates["linear"] / rates["gymnax CartPole-v1, stepped"]
-        what = f"{tables}, linear, beside gymnax CartPole under jit"
-        yield Goal(what=what, bound=1.0, found=ratio, why=GYMNAX)
+        what = f"{tables}, linear, beside gymnax CartPole under jit, stepped"
+        yield Goal(what=what, bound=bounds[tables], found=ratio)
 
 
 def _arithmetic(rates: dict[str, float]) -> Iterator[Goal]:
@@ -147,6 +140,9 @@ def _arithmetic(rates: dict[str, float]) -> Iterator[Goal]:
     for name in (CONTROLLED, FULL):
         what = f"1024 tables, {name}: peak of matrix products beside it"
         yield Goal(what=what, bound=2.5, found=peak / rates[name], at_least=False)
+    whole = peak / rates["whole step, with its ground"]
+    what = "1024 tables, whole linear step: peak of matrix products beside it"
+    yield Goal(what=what, bound=3.5, found=whole, at_least=False)
 
 
 def _closed_loops(found: dict[str, float]) -> Iterator[Goal]:
@@ -163,12 +159,10 @@ def _closed_loops(found: dict[str, float]) -> Iterator[Goal]:
 
 
 def _learning(found: dict[str, Any]) -> Iterator[Goal]:
-    for name, shares in found["PPO"].items():
-        rollout, whole = 100.0 * shares["share of roll-outs"], 100.0 * shares["share of all"]
+    for name, bound in (("linear", 6.0), ("laboratory", 15.0)):
+        rollout = 100.0 * found["PPO"][name]["share of roll-outs"]
         what = f"PPO, 64 tables, {name}: stepping, of roll-outs"
-        yield Goal(what=what, bound=10.0, found=rollout, at_least=False, unit="%", why=PPO_ROLLOUT)
-        what = f"PPO, 64 tables, {name}: stepping, of all time"
-        yield Goal(what=what, bound=2.0, found=whole, at_least=False, unit="%", why=PPO_ALL)
+        yield Goal(what=what, bound=bound, found=rollout, at_least=False, unit="%", why=PPO_ROLLOUT)
     for name, ways in found["gradient"].items():
         grows = ways["gradient"]["exponent of memory"]
         if grows is not None:

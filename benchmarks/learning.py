@@ -9,8 +9,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_law
@@ -32,6 +35,7 @@ def learning(spell: float, spells: int, quick: bool) -> dict[str, Any]:
     windows = WINDOWS[::2] if quick else WINDOWS
     return {
         "PPO": {name: ppo_shares(name, 2 if quick else 5) for name in SCENARIOS},
+        "samples/s": learned(1 if quick else 3),
         "gradient": {name: gradients(name, windows, spell, spells) for name in SCENARIOS},
     }
 
@@ -90,6 +94,28 @@ def ppo_shares(scenario: str, updates: int) -> dict[str, float]:
         "share of all": float(np.median(np.divide(steps, whole))),
         "a period of 64 tables [s]": float(np.median(steps)) / model.n_steps,
     }
+
+
+def learned(updates: int) -> dict[str, float]:
+    """Return the samples that SB3's PPO learns from in a second, by the wall clock.
+
+    64 environments, roll-outs of 128 periods, ten passes in batches of 2048, two networks of 64 x 64: on
+    the linear table, and on CartPole in SB3's DummyVecEnv.
+    """
+    tables = ShakeTableVecEnv(ScenarioOptions().build(), TABLES, reward_scale=0.01)
+    carts = DummyVecEnv([lambda: gymnasium.make("CartPole-v1") for _ in range(TABLES)])
+    rates = {}
+    for name, env in {"linear": tables, "CartPole-v1": carts}.items():
+        model = PPO("MlpPolicy", env, n_steps=128, batch_size=2048, n_epochs=10, seed=0, device="cpu")
+        samples = model.n_steps * TABLES
+        model.learn(samples)
+        times = []
+        for _ in range(updates):
+            begin = time.perf_counter()
+            model.learn(samples, reset_num_timesteps=False)
+            times.append(time.perf_counter() - begin)
+        rates[name] = samples / float(np.median(times))
+    return rates
 
 
 def gradients(

@@ -19,9 +19,10 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> list[str]:
 def tables(found: dict[str, Any]) -> dict[str, list[str]]:
     """Return the lines of each table, by the name of its markers, of the groups that were measured."""
     makers = {
-        "machine": _machine, "single": _single, "vector": _vector, "peers": _peers,
-        "arithmetic": _arithmetic, "closed loops": _closed_loops, "decision": _decision,
-        "learning": _learning, "device": _device, "footprint": _footprint, "scaling": _scaling,
+        "machine": _machine, "single": _single, "vector": _vector, "threads": _vector, "resets": _resets,
+        "peers": _peers, "arithmetic": _arithmetic, "closed loops": _closed_loops,
+        "decision": _decision, "learning": _learning, "device": _device, "footprint": _footprint,
+        "scaling": _scaling,
     }  # fmt: skip
     made = {name: make(found[name]) for name, make in makers.items() if name in found}
     return {"goals": _goals(found), **made}
@@ -55,6 +56,11 @@ def _vector(found: dict[str, dict[str, float]]) -> list[str]:
         for name in names
     ]
     return table(("table-steps/s", *found), rows)
+
+
+def _resets(seconds: dict[str, float]) -> list[str]:
+    rows = [(name, f"{1e3 * each:.3f}") for name, each in seconds.items()]
+    return table(("", "a reset [ms]"), rows)
 
 
 def _peers(found: dict[str, Any]) -> list[str]:
@@ -100,6 +106,17 @@ def _learning(found: dict[str, Any]) -> list[str]:
         for name, shares in found["PPO"].items()
     ]
     lines = table(("PPO, 64 tables", "of roll-outs", "of all time", "a period"), rows)
+    ours, theirs = (found["samples/s"][name] for name in ("linear", "CartPole-v1"))
+    lines += [
+        "",
+        *wrap(
+            f"PPO of the same size and settings, whole, by the wall clock: {ours:,.0f} samples a second "
+            f"on `linear`, {theirs:,.0f} on SB3's CartPole-v1 ({ours / theirs:.1f} times).".replace(
+                ",", " "
+            ),
+            118,
+        ),
+    ]
     for name, ways in found["gradient"].items():
         windows = list(ways["forward"]["seconds"])
         forward = ways["forward"]["seconds"]

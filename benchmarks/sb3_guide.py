@@ -32,7 +32,7 @@ from shake_env.files import write_text
 from shake_env.rollout import noise_earthquakes, rollout
 from shake_env.scenario.limits import OBSERVATION_BOUND
 
-STEPS = {"PPO": 131_072, "SAC": 60_000}
+STEPS = {"PPO": 1_048_576, "SAC": 60_000}
 # What is changed of the script, in words, and the settings that do it.
 VARIANTS: dict[str, dict[str, Any]] = {
     "the script": {},

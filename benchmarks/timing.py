@@ -13,19 +13,27 @@ import time
 from collections.abc import Callable
 
 
-def seconds_each(work: dict[str, Callable[[], object]], spell: float, spells: int) -> dict[str, float]:
-    """Return the median CPU seconds of a call of each, run in turns of `spell` seconds."""
+def seconds_each(
+    work: dict[str, Callable[[], object]],
+    spell: float,
+    spells: int,
+    clock: Callable[[], float] = time.process_time,
+) -> dict[str, float]:
+    """Return the median seconds of a call of each, run in turns of `spell` seconds.
+
+    They are CPU seconds, or those of another clock where a call has threads of its own.
+    """
     calls = {}
     for name, call in work.items():
         call()
-        begin = time.process_time()
+        begin = clock()
         call()
-        calls[name] = max(1, round(spell / max(time.process_time() - begin, 1e-7)))
+        calls[name] = max(1, round(spell / max(clock() - begin, 1e-7)))
     taken: dict[str, list[float]] = {name: [] for name in work}
     for _ in range(spells):
         for name, call in work.items():
-            begin = time.process_time()
+            begin = clock()
             for _ in range(calls[name]):
                 call()
-            taken[name].append((time.process_time() - begin) / calls[name])
+            taken[name].append((clock() - begin) / calls[name])
     return {name: statistics.median(times) for name, times in taken.items()}

@@ -25,6 +25,7 @@ from agents.evaluation.results import COLUMNS  # noqa: E402
 from agents.reporting.evaluation_tables import cost_interval, interval  # noqa: E402
 from agents.reporting.markdown_blocks import with_block  # noqa: E402
 from baselines.catalogue import BASELINES  # noqa: E402
+from baselines.information import MEANINGS  # noqa: E402
 from baselines.registry import reference_name, tuned_parameters  # noqa: E402
 from shake_env import SCENARIO_NAMES, make_scenario  # noqa: E402
 from shake_env.errors import ShakeError  # noqa: E402
@@ -162,10 +163,10 @@ def scenarios() -> str:
     return "\n".join(parts)
 
 
-SECTIONS = {"Specimen": "specimen", "RecordedMotion": "motion"}
+SECTIONS = {"Specimen": "specimen", "RecordedMotion": "motion", "Uncertainty": "uncertainty"}
 FORMS_NOTE = (
-    "A scenario file gives a specimen or a motion by the fields above, or by exactly one of these "
-    "forms, as a table `[specimen.uniform]` or `[motion.file]`.\n"
+    "A scenario file gives a specimen, a motion or an uncertainty by the fields above, or by one of "
+    "these forms, as a table `[specimen.uniform]` or `[motion.file]`.\n"
 )
 
 
@@ -220,9 +221,11 @@ def tables() -> str:
 def suits(name: str, scenario: Scenario) -> bool:
     """Return whether a controller can be designed for a scenario."""
     baseline = BASELINES[name]
-    if baseline.takes_earthquakes:
-        return True
     try:
+        if baseline.check is not None:
+            baseline.check(scenario)
+        if baseline.takes_earthquakes:
+            return True
         baseline.make(scenario, **{each: t.default for each, t in baseline.tunable.items()})
     except ShakeError:
         return False
@@ -235,7 +238,7 @@ def controllers() -> str:
     rows, tuned = [], []
     for name, baseline in BASELINES.items():
         places = ", ".join(s for s, scenario in built.items() if suits(name, scenario))
-        rows.append((f"`{name}`", baseline.summary, places))
+        rows.append((f"`{name}`", baseline.summary, baseline.class_name, places))
         for each, t in baseline.tunable.items():
             found = {s: tuned_parameters(name, built[s]).get(each) for s in DESIGNABLE}
             values = ", ".join(f"{s} {value:.4g}" for s, value in found.items() if value is not None)
@@ -248,7 +251,12 @@ def controllers() -> str:
         NOTE,
         "Every name is one that `shake compare --controllers` and `make_baseline` take. "
         "[Which one, and when](../controllers.md) has the numbers.\n",
-        table(("name", "what it is", "can be designed for"), rows),
+        table(("name", "what it is", "information", "can be designed for"), rows),
+        "Information: "
+        + "; ".join(f"*{name}*: {text}" for name, text in MEANINGS.items())
+        + ". *Preview* where the scenario shows one, else *causal*. A policy uses all that its scenario "
+        "shows. `oracle` and no other has *true plant*. Costs are comparable within a class "
+        "(`baselines.information`).\n",
         "`records` has the laboratory's table, and takes what suits `laboratory`.\n",
         "## Free parameters\n",
         "What `shake tune` searches, and what it found for each scenario (`baselines/tuned.json`). "

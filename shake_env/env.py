@@ -19,7 +19,7 @@ from shake_env.rendering.window import FRAME_RATE, RENDER_MODES, make_view, meta
 from shake_env.scenario.limits import OBSERVATION_BOUND, REASONS
 from shake_env.scenario.overrides import Overrides, make_scenario
 from shake_env.scenario.scenario import Scenario
-from shake_env.simulation.simulation import Simulation, episode_stream
+from shake_env.simulation.simulation import Simulation, earthquake_stream, episode_stream
 
 INFO_KEYS = INFO
 
@@ -86,7 +86,7 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     |---|---|---|---|
     | linear | lqr | -0.2088 | -417.6 |
     | linear | none | -2.017 | -4035 |
-    | laboratory | lqg | -0.002758 | -5.516 |
+    | laboratory | lqg | -0.002053 | -4.107 |
     | laboratory | none | -0.08243 | -164.9 |
 
     In ``linear`` no controller has a higher expected reward than LQR's, -0.2085 per step in the
@@ -160,16 +160,18 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start an episode; ``options={"motion": ...}`` sets its motion.
 
+        With a seed the episode is the protocol's earthquake of that seed: motion, drawn plant and noise.
+
         Returns
         -------
         observation, info
             The scaled state (n,) and the info of a table at rest.
         """
         motion = motion_option(options)
-        super().reset(seed=checked_seed(seed))
-        observation = self._simulation.start(
-            [0], [episode_stream(self.np_random)], None if motion is None else [motion]
-        )
+        seed = checked_seed(seed)
+        super().reset(seed=seed)
+        stream = episode_stream(self.np_random) if seed is None else earthquake_stream(seed)
+        observation = self._simulation.start([0], [stream], None if motion is None else [motion])
         self._running = True
         if self._view is not None:
             self._view.start(motion)

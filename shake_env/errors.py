@@ -55,6 +55,10 @@ class RecordError(ShakeError):
     """A recorded motion is unknown, or its file contradicts itself."""
 
 
+class LogError(ShakeError):
+    """A log of a test is incomplete, contradicts itself, or is of another table or motion."""
+
+
 class PolicyFileError(ShakeError):
     """A policy file is missing, truncated, corrupt, or made for another observation."""
 

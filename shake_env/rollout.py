@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -18,8 +18,9 @@ from shake_env.scenario.limits import REASONS
 from shake_env.scenario.presets import laboratory_noise
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty
+from shake_env.simulation.engine import BoolArray, StepResult
 from shake_env.simulation.metrics import EpisodeMetrics, Sums
-from shake_env.simulation.simulation import Simulation, checked_action
+from shake_env.simulation.simulation import Simulation, checked_action, earthquake_stream
 from shake_env.simulation.trajectory import Recorder, Trajectory
 
 
@@ -30,6 +31,13 @@ class Earthquake:
     name: str
     motion: Motion
     seed: int = 0
+
+
+class PeriodLog(Protocol):
+    """What is told every control period of a roll-out, such as a recorder of logs."""
+
+    def add(self, result: StepResult, running: BoolArray) -> None:
+        """Take a control period of the lanes that are `running` (N,)."""
 
 
 def noise_earthquakes(scenario: Scenario, number: int, seed: int = 0) -> list[Earthquake]:
@@ -98,6 +106,7 @@ def rollout(
     *,
     record: Sequence[int] = (),
     on_step: Callable[[float], None] = lambda share: None,
+    log: PeriodLog | None = None,
 ) -> tuple[list[EpisodeMetrics], dict[int, Trajectory]]:
     """Run a controller on every earthquake, all side by side.
 
@@ -113,6 +122,8 @@ def rollout(
         Indices of earthquakes whose trajectory is wanted.
     on_step
         Told the share of the work done, 0 to 1.
+    log
+        Told every control period, such as `agents.laboratory`'s recorder of logs.
 
     Returns
     -------
@@ -125,7 +136,7 @@ def rollout(
     simulation = Simulation(scenario, lanes)
     observation = simulation.start(
         range(lanes),
-        [np.random.default_rng(e.seed) for e in earthquakes],
+        [earthquake_stream(e.seed) for e in earthquakes],
         [e.motion for e in earthquakes],
     )
     steps = int(simulation.episode_steps.max())
@@ -141,6 +152,8 @@ def rollout(
         result = simulation.step(chosen)
         sums.add(result, running)
         recorder.add(result, running)
+        if log is not None:
+            log.add(result, running)
         for lane in np.flatnonzero(running & result.terminated):
             reasons[lane] = REASONS[int(result.broken[lane]) - 1]
         running &= ~(result.terminated | result.truncated)
@@ -163,7 +176,7 @@ def sampled_plants(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> lis
         return [scenario] * len(earthquakes)
     plants = []
     for quake in earthquakes:
-        stream = np.random.default_rng(quake.seed)
+        stream = earthquake_stream(quake.seed)
         quake.motion.pick(stream)  # a set of motions draws before the plant does
         plants.append(replace(scenario.drawn(stream), uncertainty=Uncertainty()))
     return plants

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Unpack
 
 import numpy as np
@@ -23,7 +24,12 @@ from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.batch_info import BatchInfo
 from shake_env.simulation.engine import BoolArray, LaneState, Observations, StepResult
 from shake_env.simulation.memory import check_memory
-from shake_env.simulation.simulation import Simulation, episode_stream, stream_array
+from shake_env.simulation.simulation import (
+    Simulation,
+    earthquake_stream,
+    episode_stream,
+    stream_array,
+)
 
 NUM_ENVS = Range(1, 10_000_000, whole=True)
 THREADS = Range(1, 1024, whole=True)
@@ -102,7 +108,8 @@ class ShakeTableVectorEnv(
         Parameters
         ----------
         seed
-            s for seeds s, s + 1, ..., or one a lane; None goes on with each lane's stream.
+            s for seeds s, s + 1, ..., or one a lane: the protocol's earthquakes of these seeds. None
+            goes on with each lane's stream.
         options
             ``reset_mask``, and ``motion`` for the motion of all these episodes.
         """
@@ -110,13 +117,16 @@ class ShakeTableVectorEnv(
         rest = checked_options(options, ("motion", "reset_mask"))
         lanes = np.flatnonzero(self._mask(rest.pop("reset_mask", None)))
         motion = motion_option(rest)
+        begun: dict[int, np.random.Generator] = {}  # streams of the episodes that a seed gives
         for lane in lanes:
-            if seeds[lane] is not None or self._streams[lane] is None:
-                self._streams[lane], _ = seeding.np_random(seeds[lane])
+            if (own := seeds[lane]) is not None:
+                begun[int(lane)] = earthquake_stream(own)
+            if own is not None or self._streams[lane] is None:
+                self._streams[lane], _ = seeding.np_random(own)
         observation = np.zeros(self.observation_space.shape or (), dtype=np.float32)
         # Lanes that go on keep the observation they have.
         observation[:] = self._last if len(lanes) < self.num_envs else 0.0
-        observation[lanes] = self._start(lanes, motion)
+        observation[lanes] = self._start(lanes, motion, begun)
         self._last = observation
         return observation.copy(), self._rest_info(lanes)
 
@@ -236,12 +246,18 @@ class ShakeTableVectorEnv(
         )
         observation[lanes] = self._start(lanes, None)
 
-    def _start(self, lanes: NDArray[np.intp], motion: Any) -> NDArray[np.float32]:
+    def _start(
+        self,
+        lanes: NDArray[np.intp],
+        motion: Any,
+        begun: Mapping[int, np.random.Generator] = MappingProxyType({}),
+    ) -> NDArray[np.float32]:
+        """Begin episodes: of the stream that a seed has `begun`, or of the lane's next one."""
         streams = []
         for lane in lanes:
             stream = self._streams[lane]
             assert stream is not None  # reset() made it
-            streams.append(episode_stream(stream))
+            streams.append(begun.get(int(lane)) or episode_stream(stream))
         self._ended[lanes] = False
         self._some_ended = bool(self._ended.any())
         motions = None if motion is None else [motion] * len(lanes)

@@ -22,6 +22,11 @@ def _a_slow_machine_adds_no_line_to_standard_error(monkeypatch):
 
 
 @pytest.fixture(scope="session", autouse=True)
+def _bounds_of_the_tests_are_kept_among_their_own_files(tmp_path_factory):
+    os.environ["SHAKE_ENV_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture(scope="session", autouse=True)
 def _temporary_files_among_the_tests_own(tmp_path_factory):
     """SB3 gives every `learn` without a logger a folder of its own, and never takes it away."""
     tempfile.tempdir = os.environ["TMPDIR"] = str(tmp_path_factory.mktemp("temporary"))

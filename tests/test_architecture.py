@@ -16,7 +16,8 @@ ROOMS = """
     agents/__main__
     agents/cli
     agents/experiments agents/studies
-    agents/motions
+    agents/motions agents/laboratory
+    agents/deployment
     agents/reporting
     agents/acceptance
     agents/training
@@ -35,7 +36,7 @@ ROOMS = """
     baselines/planning
     baselines/estimation
     baselines/lqr
-    baselines/batch_controllers
+    baselines/batch_controllers baselines/information
     shake_env/__init__
     shake_env/vector_env
     shake_env/env

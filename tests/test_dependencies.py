@@ -20,9 +20,11 @@ ALLOWED = {
 }  # fmt: skip
 # Under the LGPL: used as they are installed, unmodified and replaceable, which is all that it asks.
 # chardet comes with binaryornot or requests in some versions of the development tools.
-LESSER = {"chardet", "pygame-ce"}
+LESSER = {"chardet", "nptdms", "pygame-ce"}
 # NVIDIA's own licence: what a CUDA build of torch brings, which the project does not need.
 NVIDIA = ("nvidia-", "cuda-")
+# Distributions whose metadata state no licence: that of the file that they bring, and words of it.
+IN_A_FILE = {"fmpy": ("bsd-2-clause", "THIS SOFTWARE IS PROVIDED BY THE COPYRIGHT HOLDERS")}
 ROOT = "shake-env"
 
 
@@ -53,6 +55,11 @@ def licences(name):
     if expression := metadata.get("License-Expression"):
         return {part.strip("() ").lower() for part in re.split(r" AND | OR ", expression)}
     stated = [c.split(" :: ")[-1] for c in metadata.get_all("Classifier", []) if c[:7] == "License"]
+    if not stated and not metadata.get("License") and name in IN_A_FILE:
+        licence, words = IN_A_FILE[name]
+        files = importlib.metadata.files(name) or []
+        texts = [each.read_text() for each in files if "LICENSE" in each.name.upper()]
+        return {licence} if any(words in text for text in texts) else {"another than was read"}
     if not stated:
         stated = re.split(r" AND ", (metadata.get("License") or "nothing stated").splitlines()[0])
     return {each.lower() for each in stated}

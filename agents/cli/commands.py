@@ -45,6 +45,12 @@ COMMANDS = {
     "plan": Command(
         "agents.cli.planning.plan", "Plan", "A record's optimal currents, planned before its test."
     ),
+    "identify": Command(
+        "agents.cli.laboratory.identify", "Identify", "Table and specimen from logs of their tests."
+    ),
+    "forecast": Command(
+        "agents.cli.laboratory.forecast", "ForecastCommand", "What a test will do, before it."
+    ),
     "play": Command("agents.cli.play", "Play", "A controller at work, in a window or as a film."),
     "motion": Command(
         "agents.cli.motion", "Motion", "A recorded motion, and the scale that the table needs."
@@ -66,9 +72,14 @@ COMMANDS = {
     "robustness": Command(
         "agents.cli.robustness", "Robustness", "Controllers on tables unlike those of their design."
     ),
-    "export": Command("agents.cli.policy", "Export", "A policy as ONNX."),
+    "export": Command(
+        "agents.cli.deployment.export", "Export", "A controller as C, as an FMU or as ONNX."
+    ),
+    "rehearse": Command(
+        "agents.cli.deployment.rehearse", "Rehearse", "A controller in real time, with injected faults."
+    ),
     "model-card": Command(
-        "agents.cli.policy", "ModelCard", "Model card of a policy: training, evaluation, limits."
+        "agents.cli.model_card", "ModelCard", "Model card of a policy: training, evaluation, limits."
     ),
     "benchmark": Command(
         "agents.cli.benchmark", "Benchmark", "Every classical controller on every named scenario."

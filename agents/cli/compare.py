@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,6 +20,8 @@ from agents.progress import progress_by_name
 from agents.scenario_options import ScenarioOptions
 from agents.seeds import COMPARISON_SEED
 from shake_env.errors import ParameterError
+from shake_env.rollout import Earthquake
+from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.tables import DEFAULT_TABLE
 
 DEFAULT_CONTROLLERS = ("none", "ppo", "apg", "sac")
@@ -61,8 +64,14 @@ class Compare(FolderOptions):
     )
     safety_supervisor: bool = False
     """Whether a supervisor keeps every controller within the scenario's hard limits."""
+    bound: bool = False
+    """Whether the true bound of each earthquake is computed, the least cost over all currents: 1 s of an
+    earthquake, up to 10 s of a record. What was computed is kept in the user's cache."""
     report: Path | None = None
     """Folder for a report: one page to open in a browser, and its figures as SVG and PNG."""
+    logs: Path | None = None
+    """Folder for the log of every test as HDF5: what the sensors read, as shake identify takes it. The
+    tests are run again for it."""
     robustness: Path | None = None
     """Result of shake robustness on the same scenario, such as docs/results/robustness_linear.json: the
     report shows it."""
@@ -70,7 +79,7 @@ class Compare(FolderOptions):
     def run(self, console: Console) -> dict[str, Any]:
         """Compare, print, write."""
         from agents.evaluation.comparison import compare
-        from agents.reporting.comparison_tables import print_tables, write_files
+        from agents.reporting.comparison_tables import print_tables, print_verdict, write_files
         from agents.reporting.report import HistoryCollector, make_report
         from agents.reporting.report_page import write_report
         from agents.reporting.robustness_tables import read_robustness
@@ -84,6 +93,8 @@ class Compare(FolderOptions):
         folder = self.results_folder("compare")
         if self.report is not None:
             output_folder(self.report, self.report, force=self.force, field="report")
+        if self.logs is not None:
+            output_folder(self.logs, self.logs, force=self.force, field="logs")
         gathered = None if self.report is None else HistoryCollector(scenario)
         unlike = None if self.robustness is None else read_robustness(self.robustness, scenario.name)
         if unlike is not None and gathered is None:
@@ -106,11 +117,15 @@ class Compare(FolderOptions):
                 motions=motions,
                 supervised=self.safety_supervisor,
                 tuned=tuned_values(self.tuned),
+                bound=self.bound,
                 on_progress=on_progress,
-                **({} if gathered is None else {"on_histories": gathered}),
+                on_histories=gathered or (lambda controller, histories: None),
             )
+        if self.logs is not None:
+            self._write_logs(scenario, chosen, motions, console)
         settings = plain(asdict(self))
         print_tables(result, console)
+        print_verdict(result, scenario, console)
         if folder is not None:
             for path in write_files(result, settings, folder):
                 console.print(f"wrote {path}")
@@ -119,3 +134,24 @@ class Compare(FolderOptions):
             written = write_report(make_report(result, gathered, command, unlike), self.report)
             console.print(f"wrote {written[0]} and {len(written) - 1} figures: open it in a browser")
         return result.to_json(settings)
+
+    def _write_logs(
+        self, scenario: Scenario, names: Sequence[str], motions: list[Earthquake], console: Console
+    ) -> None:
+        from agents.laboratory.logs.simulated import write_logs
+        from shake_env.rollout import noise_earthquakes, recorded_earthquakes
+
+        assert self.logs is not None  # the caller asked
+        recorded = recorded_earthquakes(scenario) if self.records else []
+        quakes = [*motions, *recorded, *noise_earthquakes(scenario, self.num_noise_motions, self.seed)]
+        with progress_by_name() as on_progress:
+            written = write_logs(
+                scenario,
+                names,
+                quakes,
+                self.logs,
+                tuned=tuned_values(self.tuned),
+                supervised=self.safety_supervisor,
+                on_progress=on_progress,
+            )
+        console.print(f"wrote {len(written)} logs to {self.logs}")

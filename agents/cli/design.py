@@ -50,6 +50,7 @@ def print_design(result: dict[str, Any], scenario: Scenario, console: Console) -
     """Print a design for a person."""
     from agents.evaluation.controller_set import describe_values
     from agents.evaluation.design import PROBLEM
+    from agents.evaluation.results import drive_column
 
     frequencies = ", ".join(f"{f:.3f}" for f in result["natural_frequencies"])
     console.print(
@@ -59,23 +60,28 @@ def print_design(result: dict[str, Any], scenario: Scenario, console: Console) -
     )
     number = result["earthquakes"]
     how = "by analysis" if number is None else f"simulated, mean of {number} earthquakes"
-    _print_figures(f"Expected of {result['controller']}, {how}:", result, console)
+    drive = drive_column(scenario.input_unit)
+    _print_figures(f"Expected of {result['controller']}, {how}:", result, drive, console)
     if result["broken_limits"]:
         console.print(f"  ended by a broken limit           {result['broken_limits']} of {number}")
     if number is not None:
         heading = f"Bound: full-state {result['bound']['controller']} ({PROBLEM}), by analysis:"
-        _print_figures(heading, result["bound"], console)
+        _print_figures(heading, result["bound"], drive, console)
         console.print(describe_values(result["values"]), highlight=False)
     rows = [(name, f"{gain:.6g}") for name, gain in zip(result["states"], result["gain"], strict=True)]
     title = "gain of the full-state LQR: u = -sum of gain x state"
-    print_table(console, ("state", "gain [A per unit]"), rows, title=title)
+    print_table(console, ("state", f"gain [{scenario.input_unit} per unit]"), rows, title=title)
 
 
-def _print_figures(heading: str, figures: dict[str, Any], console: Console) -> None:
+def _print_figures(
+    heading: str, figures: dict[str, Any], drive: tuple[str, str, float], console: Console
+) -> None:
     console.print(heading, highlight=False)
     if "cost" in figures:
         console.print(f"  expected stage cost               {figures['cost']:.6g}")
     console.print(f"  acceleration error, rms / target  {100 * figures['acceleration_rms_ratio']:.2f} %")
     console.print(f"  base-shear error, rms / target    {100 * figures['base_shear_rms_ratio']:.2f} %")
     if figures["current_rms"] is not None:
-        console.print(f"  valve current, rms                {1e3 * figures['current_rms']:.2f} mA")
+        name, unit, factor = drive
+        name = "valve current" if name == "current" else name
+        console.print(f"  {f'{name}, rms':<34}{factor * figures['current_rms']:.2f} {unit}")

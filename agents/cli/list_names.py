@@ -50,14 +50,14 @@ def tables() -> dict[str, str]:
     """Return the tables that have a name, and what each is and can do."""
     from shake_env.scenario.tables import TABLE_NAMES, named_table
 
-    found = {}
+    summaries = {}
     for name in TABLE_NAMES:
         table = named_table(name)
-        found[name] = (
+        summaries[name] = (
             f"{table.title}: {table['table_mass']:g} kg, ±{1e3 * table['stroke']:g} mm, "
             f"{table['velocity']:g} m/s, {1e-3 * table.force:.3g} kN, input in {table.input_unit}"
         )
-    return found
+    return summaries
 
 
 def controllers() -> dict[str, str]:
@@ -78,14 +78,14 @@ def records() -> dict[str, str]:
     """Return the embedded records, with their peak, length and source."""
     from shake_env import RECORD_NAMES, load_record
 
-    found = {}
+    summaries = {}
     for name in RECORD_NAMES:
         record = load_record(name)
         source = dict(record.attribution)
         peak = float(abs(record.acceleration).max())
         origin = ", ".join(source[key] for key in ("event", "station") if key in source)
-        found[name] = f"{peak:.3g} m/s² peak, {record.duration:.0f} s; {origin}"
-    return found
+        summaries[name] = f"{peak:.3g} m/s² peak, {record.duration:.0f} s; {origin}"
+    return summaries
 
 
 LISTED: dict[Kind, Callable[[], dict[str, str]]] = {

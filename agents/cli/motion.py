@@ -193,7 +193,7 @@ class Accept(CommandOptions):
         )
         print_acceptance(result, console)
         if self.output is not None:
-            from agents.reporting.acceptance_figure import draw_acceptance
+            from agents.reporting.figures.acceptance import draw_acceptance
 
             for path in draw_acceptance(result, self.output):
                 console.print(escape(f"wrote {path}"))

@@ -26,8 +26,8 @@ class PlotComponents(FolderOptions):
         from agents.studies.components.run import components, print_numbers
 
         folder = self.results_folder("components")
-        found = components(ComponentSetup(), folder)
-        print_numbers(found, console)
+        numbers = components(ComponentSetup(), folder)
+        print_numbers(numbers, console)
         if folder is not None:
             console.print(f"wrote {folder}")
-        return found
+        return numbers

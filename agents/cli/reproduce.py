@@ -27,6 +27,6 @@ class Reproduce(FolderOptions):
         from agents.studies.reproduction.run import reproduce
 
         folder = output_folder(self.output, Path("out/reproduction"), force=self.force)
-        found: dict[str, Any] = reproduce(folder, progress=display.note)
+        reproduction: dict[str, Any] = reproduce(folder, progress=display.note)
         console.print(f"wrote {folder}")
-        return found
+        return reproduction

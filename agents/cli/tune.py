@@ -61,14 +61,14 @@ class Tune(CommandOptions):
 
         from baselines.catalogue import BASELINES
 
-        found = {}
+        results = {}
         for name in BASELINES:
             try:
-                found[name] = self._tune(name, scenario, console)
+                results[name] = self._tune(name, scenario, console)
             except (ParameterError, ScenarioError, NumericalError) as error:
-                found[name] = {"left_out": str(error)}
+                results[name] = {"left_out": str(error)}
                 console.print(f"[dim]{name} left out: {error}[/]")
-        return found
+        return results
 
     def _tune(self, name: str, scenario: Scenario, console: Console) -> dict[str, Any]:
         from agents.experiments.controller_tuning import keep, kept_values, tune
@@ -80,7 +80,7 @@ class Tune(CommandOptions):
                 description = f"tuning {name}, best cost {best:.4g}"
                 progress.update(task, completed=done, total=total, description=description)
 
-            found = tune(
+            tuning = tune(
                 name,
                 scenario,
                 self.storage,
@@ -91,12 +91,12 @@ class Tune(CommandOptions):
                 on_trial=on_trial,
             )
         console.print(
-            f"{found.controller} on {found.scenario}: cost {found.cost:.4g} after {found.trials} "
-            f"trials, {found.default_cost:.4g} by default"
+            f"{tuning.controller} on {tuning.scenario}: cost {tuning.cost:.4g} after {tuning.trials} "
+            f"trials, {tuning.default_cost:.4g} by default"
         )
-        for parameter, value in found.parameters.items():
+        for parameter, value in tuning.parameters.items():
             console.print(f"  {parameter} = {value:.6g}")
         if self.output is not None:
-            keep(found, self.output)
+            keep(tuning, self.output)
             console.print(f"wrote {self.output}")
-        return found.to_json()
+        return tuning.to_json()

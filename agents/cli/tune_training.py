@@ -94,15 +94,19 @@ class TuneTraining(CommandOptions):
             one = progress.add_task("trial", total=1.0, note="")
 
             def on_update(now: SearchProgress) -> None:
-                told = now.progress
-                share = told.steps / told.total_steps if told else 1.0
-                ratio = "" if told is None or told.cost_ratio is None else f"{told.cost_ratio:.4f}"
+                trial_progress = now.progress
+                share = trial_progress.steps / trial_progress.total_steps if trial_progress else 1.0
+                ratio = (
+                    ""
+                    if trial_progress is None or trial_progress.cost_ratio is None
+                    else f"{trial_progress.cost_ratio:.4f}"
+                )
                 note = f"{now.done} of {now.total} trials"
                 if now.best is not None:
                     note += f", best {now.best:.4f}"
                 if now.seconds_left is not None:
                     note += f", {math.ceil(now.seconds_left / 60.0)} min left"
-                done = now.done + (share if told else 0.0)
+                done = now.done + (share if trial_progress else 0.0)
                 progress.update(whole, completed=done, note=note)
                 progress.update(one, completed=share, description=f"trial {now.trial}", note=ratio)
 

@@ -55,10 +55,10 @@ class ValidateTransients(FolderOptions):
         linear = linear_part(scenario)
         if linear != scenario:
             display.note("validated: the linear part of the scenario, fully seen, without delay")
-        found: dict[str, Any] = validate(
+        validation: dict[str, Any] = validate(
             linear, folder, progress=display.note, noise=self.num_noise_motions
         )
-        print_tables(found, console)
+        print_tables(validation, console)
         if folder is not None:
             console.print(f"wrote {folder}")
-        return found
+        return validation

@@ -10,6 +10,15 @@ __getattr__, __all__ = names_of(
             "difference",
             "result_file",
         ),
+        "bound": (
+            "bound_of",
+            "causal_bound",
+            "optimal_cost",
+        ),
+        "bound_store": (
+            "Bounds",
+            "earthquake_bounds",
+        ),
         "bootstrap": (
             "cost_ratio",
             "mean_interval",
@@ -28,7 +37,6 @@ __getattr__, __all__ = names_of(
             "Entry",
             "find_entry",
             "evaluate",
-            "optimal_cost",
         ),
         "result_files": (
             "read_result",

@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import shake_env
+from agents.evaluation.bound import causal_bound
 from agents.evaluation.comparison import compare
 from agents.evaluation.controller_set import ALL, values_to_json
 from agents.evaluation.results import Comparison, GroupSummary, plain_row
+from agents.evaluation.scores import below_bound
 from agents.policies.registry import ORACLE
 from agents.provenance import machine
 from agents.run_directory import described, read_json
@@ -47,7 +49,7 @@ def run_benchmark(
     tuned
         Tuned values of a file that was named; see `baselines.registry.parameter_values`.
     on_progress
-        Told the controller that runs and its share done, 0 to 1.
+        Told the controller that runs, or ``bound``, and its share done, 0 to 1.
     """
     if earthquakes < 2:
         raise ParameterError("earthquakes", earthquakes, "an interval needs at least 2")
@@ -60,8 +62,17 @@ def run_benchmark(
         records=recorded,
         seed=TEST_SEED,
         tuned=tuned,
+        bound=True,
         on_progress=on_progress,
     )
+    assert found.bounds is not None
+    bound = found.bounds.to_json()
+    if not bound["reason"]:
+        bound["below"] = [
+            {"controller": name, **each}
+            for name, rows in found.episodes.items()
+            for each in below_bound([[row.cost for row in rows]], bound["costs"], bound["disagreements"])
+        ]
     return {
         "scenario": label(scenario_name),
         "fields": _file_fields(scenario_name),
@@ -69,6 +80,9 @@ def run_benchmark(
         "machine": machine(),
         "seed": None if recorded else TEST_SEED,
         "reference": reference_name(scenario),
+        "information": found.information,
+        "bound": bound,
+        "causal_bound": causal_bound(scenario),
         "controllers": list(names),
         "skipped": found.skipped,
         "warnings": found.warnings,
@@ -78,9 +92,8 @@ def run_benchmark(
 
 
 def ranked(found: Comparison) -> list[GroupSummary]:
-    """Return the summaries by cost, the oracle first and no control last."""
-    ends = {ORACLE: -1, "none": 1}
-    return sorted(found.summaries, key=lambda row: (ends.get(row.controller, 0), row.relative_cost))
+    """Return the summaries by cost, no control last."""
+    return sorted(found.summaries, key=lambda row: (row.controller == "none", row.relative_cost))
 
 
 def label(scenario_name: str) -> str:
@@ -110,11 +123,14 @@ def read_result(file: str | PathLike[str]) -> dict[str, Any]:
     """
     file = Path(file)
     result = read_json(file)
+    result = _ADDED | result
     lacks = [key for key in _KEYS if key not in result]
     rows: Any = result.get("rows")
     if not lacks and not (isinstance(rows, list) and rows and all(isinstance(r, dict) for r in rows)):
         lacks = ["rows"]
     for row in () if lacks else rows:
+        for name in _ADDED_FIGURES:
+            row.setdefault(name, "-" if name in _WORDS else None)
         lacks += [f"rows.{f.name}" for f in fields(GroupSummary) if not _fits(row, f.name)]
     if lacks:
         parts = described(dict.fromkeys(lacks))
@@ -124,11 +140,14 @@ def read_result(file: str | PathLike[str]) -> dict[str, Any]:
 
 
 _KEYS = ("scenario", "version", "machine", "seed", "reference", "skipped", "rows")
-_WORDS = ("controller", "group")
+_ADDED = {"information": "", "bound": None, "causal_bound": None}  # by versions after the first
+_WORDS = ("controller", "group", "information")
 # What is not defined for some controllers: a lag of a still table, a decision made beforehand.
 _OPTIONAL = (
     "delay", "spectral_error", "arias_ratio", "drift_ratio", "energy_ratio", "decision_time", "damage",
+    "bound_cost", "bound_cost_low", "bound_cost_high", "regret_closed",
 )  # fmt: skip
+_ADDED_FIGURES = ("information", *_OPTIONAL[-4:])  # of a row, likewise
 
 
 def _fits(row: dict[str, Any], name: str) -> bool:

@@ -170,7 +170,7 @@ def mean_interval(values: FloatArray) -> tuple[float, float, float]:
     mean = float(np.mean(values))
     if len(values) < 2 or np.ptp(values) <= 1e-12 * abs(mean):
         return mean, mean, mean
-    found = bootstrap(
+    interval = bootstrap(
         (values,), np.mean, method="percentile", n_resamples=1999, rng=np.random.default_rng(0)
     ).confidence_interval
-    return mean, float(found.low), float(found.high)
+    return mean, float(interval.low), float(interval.high)

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.evaluation.bootstrap import _interval, _mean, _ratio
+from agents.evaluation.bound_store import Bounds, earthquake_bounds
 from agents.evaluation.controller_set import get_controllers, require_names
 from agents.evaluation.fidelity import Fidelity, fidelity
 from agents.evaluation.latency import decision_time
 from agents.evaluation.results import Comparison, GroupSummary
 from agents.evaluation.tracking import TrackingFigures, tracking_figures
-from agents.policies.registry import ORACLE, find_controller, get_driven
+from agents.policies.registry import ORACLE, find_controller, get_driven, information_of
 from agents.run_directory import described
 from agents.seeds import COMPARISON_SEED
+from baselines.information import scenario_information
 from baselines.iterative.drive_file import DriveFile
 from baselines.tuned_values import TunedValues
 from shake_env.errors import ParameterError
@@ -48,6 +50,7 @@ def compare(
     motions: Sequence[Earthquake] = (),
     supervised: bool = False,
     tuned: TunedValues | None = None,
+    bound: bool = False,
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
     on_histories: Callable[[str, Histories], None] = lambda controller, histories: None,
 ) -> Comparison:
@@ -71,8 +74,10 @@ def compare(
         Whether a `Supervised` keeps every controller within the hard limits.
     tuned
         Tuned values of a file that was named; see `baselines.registry.parameter_values`.
+    bound
+        Whether the true bound of every earthquake is computed; see `bound_store`.
     on_progress
-        Told the controller that runs and its share done, 0 to 1.
+        Told the controller that runs, or ``bound``, and its share done, 0 to 1.
     on_histories
         Shown each controller's (earthquake, trajectory) pairs when it has run. They are not kept: those
         of all controllers would fill a machine's memory.
@@ -131,16 +136,25 @@ def compare(
         # What is made for each lane's own earthquake or plant has no decision for one table to time.
         untimed = find_controller(name).needs_earthquakes
         latency[name] = float("nan") if untimed else decision_time(controller, scenario)
+    bounds = None
+    if bound:
+        bounds = earthquake_bounds(
+            scenario, earthquakes, on_progress=lambda share: on_progress("bound", share)
+        )
     summaries = [
-        summarise(
-            name,
-            group,
-            [rows[i] for i in members],
-            [episodes[reference][i] for i in members],
-            [fidelities[name][i] for i in members],
-            latency[name],
-            find_controller(name).tests,
-            damage[name][list(members)] if name in damage else None,
+        replace(
+            summarise(
+                name,
+                group,
+                [rows[i] for i in members],
+                [episodes[reference][i] for i in members],
+                [fidelities[name][i] for i in members],
+                latency[name],
+                find_controller(name).tests,
+                damage[name][list(members)] if name in damage else None,
+            ),
+            information=information_of(name, scenario),
+            **_over_bound(rows, episodes[reference], bounds, members),
         )
         for group, members in groups.items()
         if len(members)
@@ -150,8 +164,30 @@ def compare(
     of_each = [group for group, members in groups.items() for _ in members]
     return Comparison(
         summaries, episodes, fidelities, traces, reference, name, chosen.skipped, shares, of_each,
-        chosen.values, [*chosen.warnings, *repeats(earthquakes)], tracking,
+        chosen.values, [*chosen.warnings, *repeats(earthquakes)], tracking, bounds,
+        scenario_information(scenario), scenario.input_unit,
     )  # fmt: skip
+
+
+def _over_bound(
+    rows: Sequence[EpisodeMetrics],
+    reference: Sequence[EpisodeMetrics],
+    bounds: Bounds | None,
+    members: Sequence[int],
+) -> dict[str, Any]:
+    """Return a controller's cost over the bound on a group, and what it saves of the regret."""
+    if bounds is None or bounds.reason:
+        return {}
+    cost, base = (np.array([each[i].cost for i in members]) for each in (rows, reference))
+    least = bounds.costs[list(members)]
+    low, high = _interval(cost, least)
+    regret = base.sum() - least.sum()
+    return {
+        "bound_cost": _ratio(cost, least),
+        "bound_cost_low": low,
+        "bound_cost_high": high,
+        "regret_closed": float((base.sum() - cost.sum()) / regret) if regret > 0.0 else float("nan"),
+    }
 
 
 def repeats(earthquakes: Sequence[Earthquake]) -> list[str]:
@@ -201,9 +237,11 @@ def summarise(
     cost = np.asarray([row.cost for row in rows])
     base = np.asarray([row.cost for row in reference])
     low, high = _interval(cost, base)
-    means = {figure: float(np.mean([getattr(row, figure) for row in rows])) for figure in FIGURES}
-    measures = {each.name: _mean([getattr(f, each.name) for f in repeated]) for each in fields(Fidelity)}
-    peaks = {peak: float(np.max([getattr(row, peak) for row in rows])) for peak in PEAKS}
+    figures: dict[str, Any] = {
+        **{each.name: _mean([getattr(f, each.name) for f in repeated]) for each in fields(Fidelity)},
+        **{figure: float(np.mean([getattr(row, figure) for row in rows])) for figure in FIGURES},
+        **{peak: float(np.max([getattr(row, peak) for row in rows])) for peak in PEAKS},
+    }
     return GroupSummary(
         controller=name,
         group=group,
@@ -216,7 +254,5 @@ def summarise(
         decision_time=latency,
         tests=tests,
         damage=float("nan") if damage is None else float(np.median(damage)),
-        **measures,
-        **means,
-        **peaks,
+        **figures,
     )

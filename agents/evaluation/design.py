@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from agents.evaluation.bound import optimal_cost
 from agents.evaluation.controller_set import values_to_json
-from agents.evaluation.protocol import optimal_cost
 from agents.seeds import COMPARISON_SEED
 from baselines.lqr.preview import preview_lqr
 from baselines.lqr.sampled import sampled_lqr

@@ -45,12 +45,12 @@ class Quantity:
             values = STATE_NOISE[::2] if coarse else STATE_NOISE
         else:
             values = self.coarse if coarse else self.values
-        found = {float(f"{unit * value:.6g}") for value in values}
+        rounded = {float(f"{unit * value:.6g}") for value in values}
         if self.name == "delay" and scenario.uncertainty.delay is not None:
             step = 1e3 * scenario.physics_step
-            found = {step * round(value / step) for value in found}  # drawn delays are whole steps
-        near = {value for value in found if abs(value - nominal) <= 1e-5 * abs(nominal)}
-        return tuple(sorted((found - near) | {nominal}))
+            rounded = {step * round(value / step) for value in rounded}  # drawn delays are whole steps
+        near = {value for value in rounded if abs(value - nominal) <= 1e-5 * abs(nominal)}
+        return tuple(sorted((rounded - near) | {nominal}))
 
     def title_for(self, scenario: Scenario) -> str:
         """Return what it is called there."""

@@ -11,33 +11,34 @@ from typing import Any
 import numpy as np
 
 import shake_env
+from agents.evaluation.bound import causal_bound, optimal_cost
+from agents.evaluation.bound_store import Bounds, earthquake_bounds, search_code
 from agents.evaluation.controller_set import values_to_json
 from agents.evaluation.fidelity import fidelity
 from agents.evaluation.latency import decision_time
 from agents.evaluation.results import plain_row
-from agents.evaluation.scores import Episodes, cost_figures, summary
+from agents.evaluation.scores import Episodes, below_bound, cost_figures, summary
 from agents.evaluation.training_distance import training_warning
 from agents.policies.own_controller import is_own_controller, own_baseline
 from agents.policies.policy_file import PolicyFile, digest, load_policy
 from agents.policies.registry import (
     CLASSICAL,
-    ORACLE,
+    SHIPPED,
     find_controller,
     get_controller,
     get_driven,
+    information_of,
     policy_path,
     values_for,
 )
 from agents.provenance import code_version, machine
 from agents.run_directory import BEST, POLICY, policy_of_run
 from agents.seeds import TEST_SEED
-from baselines.lqr.preview import preview_lqr
-from baselines.lqr.sampled import sampled_lqr
+from baselines.information import scenario_information
 from baselines.registry import reference_name
 from baselines.tuned_values import TunedValues
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError, PolicyFileError
-from shake_env.motion.targets import FilteredNoise
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
 from shake_env.scenario.digest import known_name
 from shake_env.scenario.scenario import Scenario
@@ -45,6 +46,8 @@ from shake_env.scenario.scenario import Scenario
 FORMAT = "shake-evaluation-1"
 LANES = 64  # earthquakes side by side where figures are made of their trajectories, which need memory
 MANY_LANES = 512  # where they are not
+MOST_BOUNDS = 200  # test earthquakes, the first ones, whose bound is computed
+BOUND = "bound"  # what costs are divided by where there is one
 SANITY_CONTROLLER = "none"  # whose costs tell whether table and earthquakes are what they were
 
 
@@ -123,8 +126,7 @@ def policy_files(path: str | PathLike[str]) -> list[Path]:
 def _learned(name: str, files: Sequence[Path], scenario: Scenario) -> Entry:
     policies, sources = [], []
     for file in files:
-        policy = load_policy(file)
-        policy.check(scenario)
+        policy = load_policy(file).reading(scenario)
         config = policy.card.get("config", {})
         policies.append(policy)
         sources.append(
@@ -139,32 +141,6 @@ def _learned(name: str, files: Sequence[Path], scenario: Scenario) -> Entry:
             }
         )
     return Entry(name, tuple(policies), tuple(sources))
-
-
-def optimal_cost(scenario: Scenario) -> float | None:
-    """Return the analytic optimum J* of the stage cost, or None where there is none.
-
-    There is one for a linear plant that is known, fully seen and answers at once, with or without
-    preview, under a stationary motion and without a limited stroke. The reference is then optimal.
-    """
-    motion = scenario.motion
-    suits = (
-        scenario.sensing.full_state
-        and not scenario.delay
-        and not scenario.nonlinearity.active
-        and not scenario.uncertainty.active
-        and scenario.limits.table_displacement is None
-        and isinstance(motion, FilteredNoise)
-        and motion.envelope is None
-    )
-    if not suits:
-        return None
-    if preview := scenario.sensing.preview:
-        spacing = scenario.sensing.preview_spacing
-        cost = preview_lqr(scenario.discrete, scenario.stage_cost, preview, spacing).analytic_cost
-    else:
-        cost = sampled_lqr(scenario.discrete, scenario.stage_cost).analytic_cost
-    return cost * motion.amplitude**2
 
 
 def evaluate(
@@ -185,7 +161,7 @@ def evaluate(
     scenario
         What is driven; `records` on its own motions, any other on filtered noise.
     entries
-        Rows of the result. Reference and normaliser are run in any case.
+        Rows of the result. The reference is run in any case.
     earthquakes
         Number of test earthquakes; each draws its specimen and noise from a seed of its own.
     repeats
@@ -194,11 +170,11 @@ def evaluate(
         Draws of the bootstrap.
     known
         A result of the same scenario and earthquakes: its rows that are not run now are taken over,
-        their costs held against reference and normaliser as those are now.
+        their costs held against the reference as it is now, and so are its bounds.
     tuned
         Tuned values of a file that was named; see `baselines.registry.parameter_values`.
     on_progress
-        Told the controller that runs and its share done, 0 to 1.
+        Told the controller that runs, or ``bound``, and its share done, 0 to 1.
 
     Raises
     ------
@@ -216,9 +192,8 @@ def evaluate(
         else noise_earthquakes(scenario, earthquakes, TEST_SEED)
     )
     reference, optimum = reference_name(scenario), optimal_cost(scenario)
-    normaliser = reference if optimum is not None else ORACLE
     for each in entries:
-        if each.policies and each.name in (normaliser, reference, *CLASSICAL):
+        if each.policies and each.name in (BOUND, reference, *CLASSICAL):
             raise ParameterError(
                 "entry", each.name, "is a controller's name: call the policies by NAME=PATH"
             )
@@ -227,7 +202,7 @@ def evaluate(
         raise ParameterError(
             "entries", [c.name for c in entries], "two rows have one name: give others by NAME=PATH"
         )
-    always = (normaliser, reference) if known is None else (normaliser, reference, SANITY_CONTROLLER)
+    always = (reference,) if known is None else (reference, SANITY_CONTROLLER)
     rows = {name: given.pop(name, Entry(name)) for name in dict.fromkeys(always)} | given
     values = {
         name: found
@@ -249,17 +224,22 @@ def evaluate(
         parameters = values[name].parameters if name in values else None
         episodes[name] = _episodes(each, scenario, quakes, repeats, told, parameters)
         latency[name] = _latency(each, scenario, parameters)
-    costs = (episodes[normaliser].cost, episodes[reference].cost)
+    plain = {name: found.to_json() for name, found in episodes.items()}
+    if known is not None:
+        _check_same(plain[SANITY_CONTROLLER], known["episodes"].get(SANITY_CONTROLLER))
+    bounds = _bounds(scenario, quakes, known, lambda share: on_progress(BOUND, share))
+    normaliser = reference if bounds["reason"] else BOUND
+    least = np.array([bounds["costs"]]) if normaliser == BOUND else episodes[reference].cost
+    yardsticks: dict[str, Any] = {
+        "normaliser": least,
+        "reference": episodes[reference].cost,
+        "optimum": optimum,
+        "resamples": resamples,
+    }
     summaries = [
-        summary(
-            name,
-            found,
-            normaliser=episodes[normaliser],
-            reference=episodes[reference],
-            optimum=optimum,
-            resamples=resamples,
-        )
+        summary(name, found, **yardsticks)
         | {
+            "information": information_of(_shown_name(rows[name]), scenario),
             "decision_time": latency[name],
             "sources": list(rows[name].sources),
             "code": code,
@@ -267,14 +247,18 @@ def evaluate(
         }
         for name, found in episodes.items()
     ]
-    plain = {name: found.to_json() for name, found in episodes.items()}
     if known is not None:
-        _check_same(plain[SANITY_CONTROLLER], known["episodes"].get(SANITY_CONTROLLER))
         for row in known["rows"]:
             if (name := row["controller"]) not in plain:
                 cost = np.array(known["episodes"][name]["cost"])
-                summaries.append(row | cost_figures(cost, *costs, optimum, resamples))
+                summaries.append(row | cost_figures(cost, **yardsticks))
         plain = known["episodes"] | plain
+    if normaliser == BOUND:
+        bounds["below"] = [
+            {"controller": name, **each}
+            for name, found in plain.items()
+            for each in below_bound(found["cost"], bounds["costs"], bounds["disagreements"])
+        ]
     return {
         "format": FORMAT,
         "scenario": scenario.name,
@@ -286,12 +270,34 @@ def evaluate(
         "reference": reference,
         "normaliser": normaliser,
         "optimal_cost": optimum,
+        "bound": bounds,
+        "causal_bound": causal_bound(scenario),
+        "information": scenario_information(scenario),
         "resamples": resamples,
         "values": ({} if known is None else known.get("values", {})) | values_to_json(values),
         "warnings": warnings,
         "rows": summaries,
         "episodes": plain,
     }
+
+
+def _shown_name(entry: Entry) -> str:
+    """Return a name that the registry knows: of policies that of a shipped one, which stands for any."""
+    return SHIPPED[0] if entry.policies else entry.name
+
+
+def _bounds(
+    scenario: Scenario,
+    quakes: Sequence[Earthquake],
+    known: dict[str, Any] | None,
+    on_progress: Callable[[float], None],
+) -> dict[str, Any]:
+    """Return the bounds of the first `MOST_BOUNDS` earthquakes, those of a known result if they hold."""
+    before = (known or {}).get("bound")
+    if before is not None and before["code"] == search_code():
+        return {key: value for key, value in before.items() if key != "below"}
+    found: Bounds = earthquake_bounds(scenario, quakes[:MOST_BOUNDS], on_progress=on_progress)
+    return found.to_json()
 
 
 def _check_same(found: dict[str, Any], before: dict[str, Any] | None) -> None:

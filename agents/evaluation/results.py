@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import shake_env
+from agents.evaluation.bound_store import Bounds
 from agents.evaluation.controller_set import describe_values, values_to_json
 from agents.evaluation.fidelity import Fidelity
 from agents.evaluation.tracking import BANDS, TrackingFigures
@@ -31,18 +32,23 @@ class Column:
 COLUMNS: dict[str, Column] = {
     "controller": Column("", "name of the controller"),
     "group": Column("", "motions, records or filtered noise"),
+    "information": Column("", "what the controller knows of the motion"),
     "earthquake": Column("", "name of the earthquake"),
     "earthquakes": Column("1", "number of earthquakes in the group"),
     "cost": Column("-", "mean stage cost over the motion, a broken limit's included"),
     "relative_cost": Column("-", "summed cost over the reference's on the same earthquakes"),
     "relative_cost_low": Column("-", "lower end of its 95 % bootstrap interval"),
     "relative_cost_high": Column("-", "upper end of it"),
+    "bound_cost": Column("-", "summed cost over the true bound's; NaN where no bound was asked for"),
+    "bound_cost_low": Column("-", "lower end of its 95 % bootstrap interval"),
+    "bound_cost_high": Column("-", "upper end of it"),
+    "regret_closed": Column("-", "share of the reference's cost above the bound that is saved"),
     "mean_cost": Column("-", "mean over earthquakes of the mean stage cost"),
     "acceleration_rms_error": Column("-", "rms of y_A - y~ over the target's rms"),
     "acceleration_peak_error": Column("-", "peak of abs(y_A - y~) over the target's peak"),
     "base_shear_rms_error": Column("-", "rms of f_s - f~_s over the reference's rms"),
     "base_shear_peak_error": Column("-", "peak of abs(f_s - f~_s) over the reference's peak"),
-    "peak_current": Column("A", "largest valve current"),
+    "peak_current": Column("A", "largest valve current; of a table driven in volts its input [V]"),
     "peak_velocity": Column("m/s", "largest table velocity"),
     "peak_displacement": Column("m", "largest table displacement"),
     "broken_limit": Column("", "what ended the episode early; None where nothing did"),
@@ -102,8 +108,16 @@ def to_frame(comparison: Comparison, rows: Rows = "episodes") -> DataFrame:
         frame = pandas.concat(parts, ignore_index=True)
     else:
         raise ParameterError("rows", rows, "known: episodes, summaries, traces")
-    frame.attrs["units"] = {str(name): COLUMNS[str(name)].unit for name in frame.columns}
+    units = {str(name): COLUMNS[str(name)].unit for name in frame.columns}
+    if "peak_current" in units:
+        units["peak_current"] = comparison.input_unit
+    frame.attrs["units"] = units
     return frame
+
+
+def drive_column(input_unit: str) -> tuple[str, str, float]:
+    """Return what a table's input is called, its unit in tables, and how many of it the SI unit has."""
+    return ("current", "mA", 1e3) if input_unit == "A" else ("input", input_unit, 1.0)
 
 
 @dataclass(frozen=True)
@@ -133,6 +147,11 @@ class GroupSummary:
     decision_time: float  # [s] of the processor, median of one decision for one table; NaN: prepared
     tests: int  # of each earthquake that it takes, the one that counts included
     damage: float  # median energy of the tests before that over one perfect test's [-]; NaN: none
+    information: str = "-"  # class of what it knows of the motion, see `baselines.information`
+    bound_cost: float = float("nan")  # summed cost over the true bound's [-]; NaN: not asked for
+    bound_cost_low: float = float("nan")
+    bound_cost_high: float = float("nan")
+    regret_closed: float = float("nan")  # share of the reference's cost above the bound that is saved
 
     def cost_text(self) -> str:
         """Return the relative cost with its interval; of one earthquake without."""
@@ -155,6 +174,9 @@ class Comparison:
     values: dict[str, ParameterValues] = field(default_factory=dict)  # by controller, with their source
     warnings: list[str] = field(default_factory=list)  # policies far from what they were trained on
     tracking: dict[str, list[TrackingFigures]] = field(default_factory=dict)  # as `fidelities`
+    bounds: Bounds | None = None  # true bound of each earthquake, in their order; None: not asked for
+    information: str = "causal"  # class of what the scenario shows
+    input_unit: str = "A"  # of the table's input
 
     def to_json(self, settings: dict[str, Any]) -> dict[str, Any]:
         """Return everything but the traces as plain JSON values."""
@@ -181,6 +203,8 @@ class Comparison:
             "interventions": self.interventions,
             "values": values_to_json(self.values),
             "warnings": self.warnings,
+            "bound": None if self.bounds is None else self.bounds.to_json(),
+            "information": self.information,
         }
 
     def notes(self) -> list[str]:

@@ -90,13 +90,13 @@ class Grid:
 
     def changes(self, scenario: Scenario) -> list[Change]:
         """Return every change once; the first, empty, leaves the scenario as it is."""
-        found: dict[Change, None] = {(): None}
+        changes: dict[Change, None] = {(): None}
         for name, values in self.sweeps.items():
-            found |= {point(scenario, {name: value}): None for value in values}
+            changes |= {point(scenario, {name: value}): None for value in values}
         for x, y in self.maps:
             for a in self.coarse[x]:
-                found |= {point(scenario, {x: a, y: b}): None for b in self.coarse[y]}
-        return list(found)
+                changes |= {point(scenario, {x: a, y: b}): None for b in self.coarse[y]}
+        return list(changes)
 
 
 def point(scenario: Scenario, values: Mapping[str, float]) -> Change:

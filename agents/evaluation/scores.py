@@ -17,6 +17,7 @@ from agents.evaluation.bootstrap import (
     ratio_of_means,
     worst_mean,
 )
+from agents.evaluation.bound_store import SOLVER_TOLERANCE
 
 MEANS = (
     "acceleration_rms_error",
@@ -76,8 +77,8 @@ def summary(
     name: str,
     found: Episodes,
     *,
-    normaliser: Episodes,
-    reference: Episodes,
+    normaliser: Scores,
+    reference: Scores,
     optimum: float | None,
     resamples: int,
 ) -> dict[str, Any]:
@@ -87,8 +88,10 @@ def summary(
     ----------
     name
         Of the controller.
-    found, normaliser, reference
-        On the same earthquakes.
+    found
+        Its episodes.
+    normaliser, reference
+        Costs on the same earthquakes; the normaliser's may be those of the first of them alone.
     optimum
         J*, or None.
     resamples
@@ -98,7 +101,7 @@ def summary(
         "controller": name,
         "runs": len(found.cost),
         "episodes": found.cost.size,
-        **cost_figures(found.cost, normaliser.cost, reference.cost, optimum, resamples),
+        **cost_figures(found.cost, normaliser, reference, optimum, resamples),
         "failures": found.failures,
     }
     for figure in MEANS:
@@ -120,12 +123,18 @@ def summary(
 def cost_figures(
     cost: Scores, normaliser: Scores, reference: Scores, optimum: float | None, resamples: int
 ) -> dict[str, Any]:
-    """Return those figures of a row that come of costs alone, (runs, earthquakes); see `summary`."""
-    ratio = cost / normaliser
-    same = np.array_equal(cost, normaliser)
-    regret = optimum is None and not same and reference.mean() > normaliser.mean()
+    """Return those figures of a row that come of costs alone, (runs, earthquakes); see `summary`.
+
+    What is relative to the normaliser is of the earthquakes that it has, the first ones.
+    """
+    bounded = normaliser.shape[1]
+    own, base = cost[:, :bounded], reference[:, :bounded]
+    ratio = own / normaliser
+    same = np.array_equal(own, normaliser)
+    regret = optimum is None and not same and base.mean() > normaliser.mean()
     return {
-        "relative_cost": _interval(ratio_of_means, resamples, cost, normaliser),
+        "mean_cost": float(cost.mean()),
+        "relative_cost": _interval(ratio_of_means, resamples, own, normaliser),
         "interquartile_mean": _interval(interquartile_mean, resamples, ratio),
         "worst_twentieth": _interval(worst_mean, resamples, ratio),
         "reference_cost": _interval(ratio_of_means, resamples, cost, reference),
@@ -135,11 +144,35 @@ def cost_figures(
             if optimum is None
             else _interval(lambda found: float(found.mean() / optimum), resamples, cost)
         ),
-        "regret_closed": (
-            _interval(_regret_closed, resamples, cost, reference, normaliser) if regret else None
-        ),
-        "run_costs": [float(run.mean() / normaliser.mean()) for run in cost],
+        "regret_closed": _interval(_regret_closed, resamples, own, base, normaliser) if regret else None,
+        "run_costs": [float(run.mean() / normaliser.mean()) for run in own],
     }
+
+
+def below_bound(
+    cost: Sequence[Sequence[float]], bounds: Sequence[float], disagreements: Sequence[float]
+) -> list[dict[str, Any]]:
+    """Return the episodes that cost less than their bound by more than its starts differ.
+
+    Parameters
+    ----------
+    cost
+        (runs, earthquakes) mean stage costs.
+    bounds
+        (n,) of the first earthquakes.
+    disagreements
+        (n,) cost of the worst start over that of the best one, minus 1.
+
+    Returns
+    -------
+    Run, earthquake (places) and cost over the bound, of each such episode.
+    """
+    ratio = np.array(cost)[:, : len(bounds)] / np.array(bounds)
+    low = ratio < 1.0 - np.maximum(disagreements, SOLVER_TOLERANCE)
+    return [
+        {"run": int(run), "earthquake": int(quake), "ratio": float(ratio[run, quake])}
+        for run, quake in np.argwhere(low)
+    ]
 
 
 def _interval(statistic: Statistic, resamples: int, *samples: Scores) -> dict[str, float]:
@@ -154,9 +187,9 @@ def _median(scores: Scores) -> float:
     return float(np.median(scores))
 
 
-def _regret_closed(cost: Scores, reference: Scores, oracle: Scores) -> float:
-    """Return the share of what the oracle saves against the reference that is saved."""
-    return float((reference.mean() - cost.mean()) / (reference.mean() - oracle.mean()))
+def _regret_closed(cost: Scores, reference: Scores, bound: Scores) -> float:
+    """Return the share of what the bound saves against the reference that is saved."""
+    return float((reference.mean() - cost.mean()) / (reference.mean() - bound.mean()))
 
 
 def _short(value: float) -> float | None:

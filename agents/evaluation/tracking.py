@@ -87,11 +87,11 @@ def band_ratios(achieved: FloatArray, target: FloatArray, step: float) -> tuple[
     """
     length = min(len(target), round(SEGMENT / step))
     f, wanted = welch(target, 1.0 / step, nperseg=length)
-    _, found = welch(achieved, 1.0 / step, nperseg=length)
+    _, spectrum = welch(achieved, 1.0 / step, nperseg=length)
     ratios = []
     for low, high in BANDS:
         inside = (f >= low) & (f < high) & (f < 0.5 / step)
-        ratios.append(_over(float(np.sum(found[inside])), float(np.sum(wanted[inside]))) ** 0.5)
+        ratios.append(_over(float(np.sum(spectrum[inside])), float(np.sum(wanted[inside]))) ** 0.5)
     return tuple(ratios)
 
 

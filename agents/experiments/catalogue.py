@@ -65,20 +65,22 @@ class ExperimentConfig:
         return replace(self.config, seed=seed)
 
 
+# The nonlinear plan is the strongest classical rival: learning is judged against it, too.
 LABORATORY_BASELINES = (
     "lqg", "lqg-dac", "h-infinity", "inverse-ff-tvc", "lqg-searched", "lqg-searched-force", "tvc",
-    "none",
+    "nmpc", "planned", "none",
 )  # fmt: skip
 FRICTION = ScenarioOptions(set=("nonlinearity.friction.coulomb=300",))
 # A step of the physics as long as a control period does not resolve how friction turns about. LQR then
 # loses a third instead of a sixth, and there is more to learn: a warning, and what coarse plants report.
 COARSE_FRICTION = replace(FRICTION, set=(*FRICTION.set, "physics_step=0.005"))
 
+# fmt: off
 EVALUATION_TASKS: tuple[EvaluationTask, ...] = (
     EvaluationTask(name="linear", options=ScenarioOptions(), baselines=("none",)),
     EvaluationTask(name="as-printed", options=ScenarioOptions("as-printed"), baselines=("none",)),
     # The reference there is LQR, which does not know of the friction.
-    EvaluationTask(name="friction", options=FRICTION, baselines=("lqr-friction-ff", "none")),
+    EvaluationTask(name="friction", options=FRICTION, baselines=("lqr-friction-ff", "nmpc", "none")),
     EvaluationTask(
         name="friction-coarse", options=COARSE_FRICTION, baselines=("lqr-friction-ff", "none")
     ),
@@ -94,16 +96,21 @@ EVALUATION_TASKS: tuple[EvaluationTask, ...] = (
     EvaluationTask(
         name="unknown-specimen",
         options=ScenarioOptions("unknown-specimen"),
-        baselines=("lqg", "lqg-dac", "adaptive", "multi-model", "h-infinity", "lqg-searched", "none"),
+        baselines=(
+            "lqg", "lqg-dac", "adaptive", "multi-model", "h-infinity", "lqg-searched", "nmpc", "none",
+        ),
         earthquakes=2000,
         fidelity=False,
     ),
     EvaluationTask(
         name="yielding",
         options=ScenarioOptions("yielding"),
-        baselines=("preview-lqr", "h-infinity", "lqg-searched", "lqg-searched-force", "none"),
+        baselines=(
+            "preview-lqr", "h-infinity", "lqg-searched", "lqg-searched-force", "nmpc", "planned", "none",
+        ),
     ),
 )
+# fmt: on
 
 
 def _experiment(

@@ -130,10 +130,10 @@ def tune(
     storage = Path(storage)
     home = storage.with_name(f"{storage.stem}-locks") / re.sub(r"[^\w.-]+", "_", study)
     with locked(home, field="study"), storage_errors(storage):
-        found = search(cost, tunable, storage, study, total, seed, on_trial, starts)
+        result = search(cost, tunable, storage, study, total, seed, on_trial, starts)
     return TuningResult(
-        name, scenario.name, scenario_digest(scenario), found.parameters, found.cost,
-        found.default_cost, found.trials, found.trials * steps, earthquakes, seed,
+        name, scenario.name, scenario_digest(scenario), result.parameters, result.cost,
+        result.default_cost, result.trials, result.trials * steps, earthquakes, seed,
     )  # fmt: skip
 
 

@@ -10,21 +10,15 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from agents.evaluation.bound_store import search_code
 from agents.evaluation.protocol import Entry, evaluate, find_entry
 from agents.evaluation.result_files import PREFIX, read_result, write_result
 from agents.experiments.catalogue import EvaluationTask
 from agents.run_directory import POLICY
 from agents.seeds import TEST_SEED
-from baselines.lqr import oracle
 from baselines.registry import tuned_parameters
 from shake_env.errors import ParameterError
 from shake_env.scenario.scenario import Scenario
-
-ORACLE_DESIGN = {
-    "position": oracle.POSITION,
-    "friction_position": oracle.FRICTION_POSITION,
-    "preview": oracle.PREVIEW,
-}
 
 
 def policy_folders(task: EvaluationTask, folder: str | PathLike[str]) -> list[Path]:
@@ -46,9 +40,10 @@ def evaluate_task(
 
     A row holds while there is no policy for it that it was not made of, and a rival's while it is in the
     file, tuned as it is now: a row whose policies lie on no disk here any more stays. What does not hold
-    is run, and with it reference and normaliser, which the costs of all rows are divided by, and the
-    uncontrolled table, whose costs must match the stored ones. The code's version is not compared:
-    most of its changes affect no figure. `again` evaluates all rows, of the policies that there are.
+    is run, and with it the reference and the uncontrolled table, whose costs must match the stored ones.
+    Bounds are computed anew where the code that searches them is another. No other code's version is
+    compared: most of its changes affect no figure. `again` evaluates all rows, of the policies that
+    there are.
 
     Raises
     ------
@@ -65,8 +60,7 @@ def evaluate_task(
     if file.exists() and not again:
         known = _read(file, task)
     missing = [row for row in rows if known is None or not _holds(row, known["identity"], scenario)]
-    same_floor = known is not None and known["identity"]["oracle"] == ORACLE_DESIGN
-    if known is not None and not missing and same_floor:
+    if known is not None and not missing and known["bound"]["code"] == search_code():
         return file, known, False
     result = evaluate(
         scenario,
@@ -84,9 +78,8 @@ def evaluate_task(
 def _read(file: Path, task: EvaluationTask) -> dict[str, Any]:
     known = read_result(file)
     identity: Any = known.get("identity")
-    complete = isinstance(identity, dict) and {"evaluation_task", "oracle", "rows", "tuned"} <= set(
-        identity
-    )
+    complete = isinstance(identity, dict) and {"evaluation_task", "rows", "tuned"} <= set(identity)
+    complete = complete and "bound" in known
     if not complete or identity["evaluation_task"] != _asked(task):
         raise ParameterError(
             "results",
@@ -140,7 +133,6 @@ def _identity(result: dict[str, Any], task: EvaluationTask) -> dict[str, Any]:
     tuned = {name: tuned_parameters(name, scenario) for name in rows if not rows[name]}
     return {
         "evaluation_task": _asked(task),
-        "oracle": ORACLE_DESIGN,
         "rows": rows,
         "tuned": tuned,
     }

@@ -59,18 +59,18 @@ class Task:
             return
         if finished(self.run):
             self.state, self.share = "done", 1.0
-        elif found := checkpoints(self.run):
+        elif saved := checkpoints(self.run):
             self.state = "begun"
-            self.share = checkpoint_steps(found[-1]) / self.config.steps
+            self.share = checkpoint_steps(saved[-1]) / self.config.steps
 
     def watch(self) -> None:
         """Read the progress of the running process."""
         try:
-            told = typed(Progress, read_json(self.run / PROGRESS, largest=2**20))
+            progress = typed(Progress, read_json(self.run / PROGRESS, largest=2**20))
         except ValueError:  # there is none yet
             return
-        self.share = min(told.steps / max(told.total_steps, 1), 1.0)
-        self.seconds, self.cost_ratio = told.seconds, told.cost_ratio
+        self.share = min(progress.steps / max(progress.total_steps, 1), 1.0)
+        self.seconds, self.cost_ratio = progress.seconds, progress.cost_ratio
 
     @property
     def pace(self) -> float | None:

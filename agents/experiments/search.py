@@ -113,10 +113,10 @@ def find_experiment(name: str) -> ExperimentConfig:
     ScenarioError
         If there is none.
     """
-    found = {experiment.name: experiment for experiment in catalogue.EXPERIMENTS}
-    if name not in found:
-        raise unknown(ScenarioError, "experiment", name, found)
-    return found[name]
+    experiments = {experiment.name: experiment for experiment in catalogue.EXPERIMENTS}
+    if name not in experiments:
+        raise unknown(ScenarioError, "experiment", name, experiments)
+    return experiments[name]
 
 
 def open_study(search: Search, storage: str | PathLike[str]) -> Any:
@@ -230,8 +230,8 @@ def _searched(
         _queue(study, search)
         while len(_done(study)) < trials and time.monotonic() < until:
 
-            def tell(number: int, told: Progress | None) -> None:
-                on_update(_standing(study, trials, until, number, told))
+            def tell(number: int, progress: Progress | None) -> None:
+                on_update(_standing(study, trials, until, number, progress))
 
             try:
                 _trial(study, search, validation, home, until, tell)
@@ -260,19 +260,19 @@ def _trial(
     trial.set_user_attr("code", code_version())
     judge = PruningCallback(trial, config, run, until)
 
-    def report(told: Progress) -> None:
+    def report(progress: Progress) -> None:
         trial.set_user_attr("seconds", before + time.process_time() - began)
-        judge(told)
-        tell(trial.number, told)
+        judge(progress)
+        tell(trial.number, progress)
 
     try:
         options = f"--step-fraction {search.share:g} --seed {search.seed}"
         command = f"shake tune-training {search.experiment.name} {options}"
         train_or_resume(config, run, report=report, command=command)
         judge.report()
-        found = validation.judge(load_policy(run / POLICY))
+        outcome = validation.judge(load_policy(run / POLICY))
     except PrunedError:
-        found = None
+        outcome = None
     except (ParameterError, ScenarioError, RunDirectoryError):
         raise  # a mistake in what was asked, no property of the values
     # A network or a design that came to no numbers.
@@ -280,35 +280,35 @@ def _trial(
         if trial.user_attrs.get("default"):
             raise  # nor is this
         reason = (str(error) or "no reason told").splitlines()[0]
-        found = {"cost": FAILED, "failure": f"{type(error).__name__}: {reason}"}
+        outcome = {"cost": FAILED, "failure": f"{type(error).__name__}: {reason}"}
     trial.set_user_attr("seconds", before + time.process_time() - began)
     trial.set_user_attr("ratio", judge.best if math.isfinite(judge.best) else None)
-    for key, value in (found or {}).items():
+    for key, value in (outcome or {}).items():
         trial.set_user_attr(key, value)
-    if found is None:
+    if outcome is None:
         study.tell(trial, state=optuna.trial.TrialState.PRUNED)
     else:
-        study.tell(trial, found["cost"])
+        study.tell(trial, outcome["cost"])
     # What is done is not gone on with, and a replay buffer is large.
     delete_checkpoints(run)
     tell(trial.number, None)
 
 
 def _standing(
-    study: Any, total: int, until: float, number: int, told: Progress | None
+    study: Any, total: int, until: float, number: int, progress: Progress | None
 ) -> SearchProgress:
     done = _done(study)
     costs = [t.value for t in done if t.state.name == "COMPLETE"]
     times = [t.duration.total_seconds() for t in done]
-    share = told.steps / told.total_steps if told else 0.0
+    share = progress.steps / progress.total_steps if progress else 0.0
     left = None
     if times:
         left = max(0.0, sum(times) / len(times) * (total - len(done) - share))
-    elif told and share > 0.05:
-        left = told.seconds / share * (total - share)
+    elif progress and share > 0.05:
+        left = progress.seconds / share * (total - share)
     if math.isfinite(until):
         left = min(math.inf if left is None else left, max(0.0, until - time.monotonic()))
-    return SearchProgress(len(done), total, number, told, min(costs, default=None), left)
+    return SearchProgress(len(done), total, number, progress, min(costs, default=None), left)
 
 
 def trace_of(search: Search, study: Any) -> Trace:
@@ -316,18 +316,21 @@ def trace_of(search: Search, study: Any) -> Trace:
     knobs, own = space(search.experiment), own_values(search.experiment)
     rows = []
     for trial in _done(study):
-        told = trial.user_attrs
-        failed = "failure" in told
+        attributes = trial.user_attrs
+        failed = "failure" in attributes
         state = "pruned" if trial.state.name == "PRUNED" else "failed" if failed else "complete"
         rows.append(
             TrialRow(
                 number=trial.number,
                 state=state,
                 values={knob.name: knob.tidy(trial.params[knob.name]) for knob in knobs},
-                cost=None if failed else told.get("cost"),
-                seconds=round(told.get("seconds", 0.0), 1),
-                default=told.get("default", False),
-                **{key: told.get(key) for key in ("low", "high", "lost", "ratio", "code", "failure")},
+                cost=None if failed else attributes.get("cost"),
+                seconds=round(attributes.get("seconds", 0.0), 1),
+                default=attributes.get("default", False),
+                **{
+                    key: attributes.get(key)
+                    for key in ("low", "high", "lost", "ratio", "code", "failure")
+                },
             )
         )
     return Trace(

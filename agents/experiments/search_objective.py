@@ -67,10 +67,10 @@ class PruningCallback:
         self.best = math.inf
         self._told: set[int] = set()
 
-    def __call__(self, told: Progress) -> None:
+    def __call__(self, progress: Progress) -> None:
         """Report what is new; raise if the run is to end before its steps are done."""
         self.report()
-        if told.steps < told.total_steps and time.monotonic() > self.until:
+        if progress.steps < progress.total_steps and time.monotonic() > self.until:
             raise OutOfTimeError
 
     def report(self) -> None:

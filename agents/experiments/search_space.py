@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any, get_args
 
-from agents.evaluation.protocol import optimal_cost
+from agents.evaluation.bound import optimal_cost
 from agents.experiments.catalogue import ExperimentConfig
 from agents.policies.base_law import base_law
 from agents.policies.base_names import BaseLaw

@@ -32,10 +32,10 @@ def work(run: str | PathLike[str], values: str, command: str) -> None:
     run = Path(run)
     config, parent = config_of(parse_json(values)), os.getppid()
 
-    def report(told: Progress) -> None:
+    def report(progress: Progress) -> None:
         if os.getppid() != parent:
             raise KeyboardInterrupt  # the campaign is gone; the checkpoint stays
-        write_json(run / PROGRESS, asdict(told))
+        write_json(run / PROGRESS, asdict(progress))
 
     train_or_resume(config, run, report=report, command=command, wait=PATIENCE)
 

@@ -109,13 +109,13 @@ class GRUPolicy(ActorCriticPolicy):
                 begun = torch.as_tensor(np.reshape(episode_start, (-1, 1)), device=self.device)
                 memory = torch.where(begun, 0.0, memory)
         with torch.no_grad():
-            seen, memory = self.recall(rows, memory)
-            latent = self.mlp_extractor.forward_actor(seen)
+            latent_input, memory = self.recall(rows, memory)
+            latent = self.mlp_extractor.forward_actor(latent_input)
             actions = self._get_action_dist_from_latent(latent).get_actions(deterministic=deterministic)
         assert isinstance(self.action_space, spaces.Box)
         clipped = np.clip(actions.cpu().numpy(), self.action_space.low, self.action_space.high)
-        kept = memory.cpu().numpy()
-        return (clipped, (kept,)) if vectorized else (clipped[0], (kept[0],))
+        hidden = memory.cpu().numpy()
+        return (clipped, (hidden,)) if vectorized else (clipped[0], (hidden[0],))
 
 
 # Adam moves every weight alike; few weights read a feature directly, thousands through the network.

@@ -194,7 +194,8 @@ class SB3Controller:
         own = state
         if self._law is not None:
             own, past = (None, None) if state is None else (state[:-2] or None, state[-2:])
-            age, known, observation = self._law.show_to(observation, past, episode_start)
+            age, known, shown = self._law.show_to(observation, past, episode_start)
+            observation = np.concatenate([observation, shown.astype(np.float32)], axis=-1)
         correction, own = self.model.predict(
             self._features(observation), own, episode_start, deterministic
         )

@@ -152,18 +152,18 @@ def channels(path: str | PathLike[str], options: MotionOptions, scenario: Scenar
     """Return every channel of a file, with the scales that the scenario's table needs."""
     path = Path(path)
     capacity = options.capacity(scenario)
-    found = []
+    channel_list = []
     for record in options.read(path):
         motion = options.motion(record)
         step = scenario.physics_step
-        found.append(
+        channel_list.append(
             Channel(
                 record,
                 fit_amplitude(motion, capacity, physics_step=step),
                 fit_time(motion, capacity, physics_step=step),
             )
         )
-    return found
+    return channel_list
 
 
 def motion_earthquakes(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import array_api_compat
@@ -81,6 +82,17 @@ class EstimatedLaw:
         """Number e of entries that it shows."""
         return int(self.show.shape[0])
 
+    def reading(self, places: NDArray[np.intp], size: int) -> EstimatedLaw:
+        """Return this law as it reads an observation (..., size) whose `places` (n,) are its own."""
+        first = self.size
+        columns = np.concatenate([np.arange(first), first + places])
+        parts: dict[str, Any] = {}
+        for name in ("advance", "show"):
+            matrix = getattr(self, name)
+            parts[name] = np.zeros((len(matrix), first + size))
+            parts[name][:, columns] = matrix
+        return replace(self, **parts)
+
     def like(self, array: Array) -> EstimatedLaw:
         """Return this law in the library, precision and device of `array`."""
         moved = {f.name: as_like(getattr(self, f.name), array) for f in fields(self)[:-1]}
@@ -103,6 +115,27 @@ class EstimatedLaw:
         known, shown
             (..., M) for :meth:`keep`, and (..., e).
         """
+        if isinstance(memory, np.ndarray) and isinstance(observation, np.ndarray):
+            both = np.concatenate([memory, observation], axis=-1) @ self._settled.T
+            known, shown = both[..., : self.size], both[..., self.size :]
+            age = np.asarray(age)
+            early = age < len(self.gains) - 1
+            if early.any():  # the gains of these still change
+                known[early], shown[early] = self._weigh(memory[early], observation[early], age[early])
+            return known, shown
+        return self._weigh(memory, observation, age)
+
+    @cached_property
+    def _settled(self) -> FloatArray:
+        """``[known, shown]`` from ``[memory, observation]`` with the last gain, (M + e, M + n)."""
+        estimates, size = self.gains.shape[1], self.size
+        known = np.array(self.advance[:size])
+        known[:estimates] += self.gains[-1] @ self.advance[size:]
+        observation = np.eye(self.observation_size, size + self.observation_size, size)
+        return np.vstack([known, self.show @ np.vstack([known, observation])])
+
+    def _weigh(self, memory: Array, observation: Array, age: Any) -> tuple[Array, Array]:
+        """Weigh the readings at any age, which a gradient goes through."""
         xp = array_api_compat.array_namespace(observation)
         estimates, size = self.gains.shape[1], self.size
         both = xp.concat([memory, observation], axis=-1) @ self.advance.T
@@ -125,13 +158,13 @@ class EstimatedLaw:
         observation: NDArray[np.float32],
         state: tuple[Any, ...] | None,
         episode_start: NDArray[np.bool_] | None,
-    ) -> tuple[NDArray[np.int_], FloatArray, NDArray[np.float32]]:
+    ) -> tuple[NDArray[np.int_], FloatArray, FloatArray]:
         """Weigh an observation (..., n) for a controller that keeps memory and age as its state.
 
         Returns
         -------
-        Periods since the start (...), what the law knows, and the observation (..., n + e) with what it
-        shows behind it. The next state is ``(keep(known, action), age + 1)``.
+        Periods since the start (...), what the law knows, and what it shows (..., e). The next state is
+        ``(keep(known, action), age + 1)``.
         """
         lead = observation.shape[:-1]
         age = np.zeros(lead, dtype=int) if state is None else state[1]
@@ -140,7 +173,7 @@ class EstimatedLaw:
             begun = np.reshape(episode_start, lead)
             age, past = np.where(begun, 0, age), np.where(begun[..., None], 0.0, past)
         known, shown = self.look(past, observation.astype(float), age)
-        return age, known, np.concatenate([observation, shown.astype(np.float32)], axis=-1)
+        return age, known, shown
 
     def keep(self, known: Array, action: Array) -> Array:
         """Return the memory (..., M) once an action (...) within [-1, 1] was given."""

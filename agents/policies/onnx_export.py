@@ -46,16 +46,16 @@ class _Graph:
 
     def affine(self, value: str, weight: NDArray[Any], bias: NDArray[Any]) -> str:
         product = self.add("MatMul", value, self.constant(weight.T))
-        found: str = self.add("Add", product, self.constant(bias))
-        return found
+        name: str = self.add("Add", product, self.constant(bias))
+        return name
 
     def split(self, value: str, width: int, parts: int) -> Any:
         sizes = self.constant(np.full(parts, width, dtype=np.int64))
         return self.add("Split", value, sizes, outputs=parts, axis=-1)
 
     def clip(self, value: str, bound: float) -> str:
-        found: str = self.add("Clip", value, self.number(-bound), self.number(bound))
-        return found
+        name: str = self.add("Clip", value, self.number(-bound), self.number(bound))
+        return name
 
 
 def export_onnx(policy: PolicyFile, path: str | PathLike[str]) -> Path:

@@ -108,7 +108,7 @@ def _tunable(name: str, given: Any) -> dict[str, Tunable]:
     """Return the free parameters that a class declares."""
     if not isinstance(given, Mapping):
         raise ScenarioError("controller", name, "tunable must map names to (low, high, default)")
-    found = {}
+    tunables = {}
     for each, values in given.items():
         try:
             if not isinstance(values, Tunable):
@@ -117,8 +117,8 @@ def _tunable(name: str, given: Any) -> dict[str, Tunable]:
         except (TypeError, ValueError, ParameterError) as error:
             remedy = f"tunable {each!r} must be low <= default <= high ({error})"
             raise ScenarioError("controller", name, remedy) from error
-        found[str(each)] = values
-    return found
+        tunables[str(each)] = values
+    return tunables
 
 
 def _made(

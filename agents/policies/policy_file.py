@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -116,7 +116,8 @@ class PolicyFile:
         """Return the action (..., 1) for an observation (..., n), and the memories in a tuple."""
         if self.law is not None:
             law_state = None if state is None else state[-2:]
-            age, known, observation = self.law.show_to(observation, law_state, episode_start)
+            age, known, shown = self.law.show_to(observation, law_state, episode_start)
+            observation = np.concatenate([observation, shown.astype(self.matrix.dtype)], axis=-1)
         hidden = np.clip(observation @ self.matrix.T, -self.feature_clip, self.feature_clip)
         kept: tuple[Any, ...] | None = None
         if self.memory is not None:
@@ -156,6 +157,34 @@ class PolicyFile:
                 fits = bool(np.isfinite(action).all()) and float(np.abs(action).max()) <= 1.0
                 _require(fits, "trial decision", action.ravel().tolist(), _REMEDY)
                 start = np.zeros(3, dtype=bool)
+
+    def reading(self, scenario: Scenario) -> PolicyFile:
+        """Return this policy as it reads a scenario's observation, checked against the scenario.
+
+        One that was trained on a preview with samples a control period apart takes these out of a finer
+        preview: its actions are the same. Any other is returned as it is.
+
+        Raises
+        ------
+        PolicyFileError
+            If the policy was made for another table, observation or rate; see `check`.
+        """
+        shown, own = scenario.observation, self
+        samples, beyond = divmod(scenario.substeps, shown.preview_spacing)
+        coarse = np.arange(shown.preview.start, shown.preview.stop)[samples - 1 :: max(samples, 1)]
+        left_out = np.setdiff1d(np.arange(shown.preview.start, shown.preview.stop), coarse)
+        places = np.delete(np.arange(shown.size), left_out)
+        if not beyond and self.observation_size == len(places) < shown.size:
+            believed = shown.size + np.arange(self.law.shown if self.law else 0)
+            columns, width = np.concatenate([places, believed]), shown.size + len(believed)
+            own = replace(
+                self,
+                matrix=_spread(self.matrix, columns, width),
+                base=_spread(self.base, columns, width),
+                law=self.law and self.law.reading(places, shown.size),
+            )
+        own.check(scenario)
+        return own
 
     def check(self, scenario: Scenario) -> None:
         """Raise PolicyFileError unless the policy was made for this table, observation and rate."""
@@ -282,6 +311,13 @@ def _law(arrays: dict[str, NDArray[Any]], actions: int) -> EstimatedLaw:
     )
     _require(fits, "law shape", law.advance.shape, _REMEDY)
     return law
+
+
+def _spread(array: Weights, places: NDArray[np.intp], width: int) -> Weights:
+    """Return columns (..., n) at their `places` among (..., width), zeros elsewhere."""
+    spread = np.zeros((*array.shape[:-1], width), dtype=np.float32)
+    spread[..., places] = array
+    return spread
 
 
 def _float32(array: NDArray[Any], dimensions: int) -> Weights:

@@ -67,8 +67,8 @@ class GatedUnit(_Unit):
         gates = _logistic(new[..., : 2 * n] + old[..., : 2 * n])
         reset, update = gates[..., :n], gates[..., n:]
         proposed = np.tanh(new[..., 2 * n :] + reset * old[..., 2 * n :])
-        kept: Weights = proposed + update * (memory - proposed)
-        return kept, (kept,)
+        hidden: Weights = proposed + update * (memory - proposed)
+        return hidden, (hidden,)
 
 
 class LongShortTermUnit(_Unit):
@@ -88,8 +88,8 @@ class LongShortTermUnit(_Unit):
         sums = features @ self.input_weight.T + self.input_bias
         sums = sums + hidden @ self.hidden_weight.T + self.hidden_bias
         gates = _logistic(sums[..., : 2 * n])
-        let_in, kept = gates[..., :n], gates[..., n:]
-        cell = kept * cell + let_in * np.tanh(sums[..., 2 * n : 3 * n])
+        let_in, forget = gates[..., :n], gates[..., n:]
+        cell = forget * cell + let_in * np.tanh(sums[..., 2 * n : 3 * n])
         hidden = _logistic(sums[..., 3 * n :]) * np.tanh(cell)
         return hidden, (hidden, cell)
 

@@ -13,6 +13,7 @@ from agents.policies.own_controller import is_own_controller, own_baseline
 from agents.policies.policy_file import load_policy
 from agents.run_directory import policy_of_run
 from baselines.catalogue import BASELINES
+from baselines.information import Information, scenario_information
 from baselines.lqr.oracle import oracle_controller
 from baselines.registry import (
     CLASSICAL,
@@ -31,7 +32,7 @@ from shake_env.scenario.digest import known_name
 from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import Scenario
 
-ORACLE = "oracle"  # what regret is counted from, see `baselines.lqr.oracle`
+ORACLE = "oracle"  # a full-state law for the true plants, see `baselines.lqr.oracle`
 SHIPPED = ("ppo", "apg", "sac")  # algorithms whose policies come with the package
 
 
@@ -48,6 +49,7 @@ class ControllerEntry:
     kind: Literal["classical", "oracle", "shipped", "own", "file"]
     summary: str = ""
     tests: int = 1  # of each earthquake that using it takes, the one that counts included
+    knows_motion: bool = False  # whether it is planned for a motion before the test
 
     @property
     def is_designed(self) -> bool:
@@ -57,18 +59,19 @@ class ControllerEntry:
     @property
     def needs_earthquakes(self) -> bool:
         """Whether it is made for given earthquakes, not for any."""
-        return self.kind == "oracle" or self.tests > 1
+        return self.kind == "oracle" or self.tests > 1 or self.knows_motion
 
 
 @lru_cache
 def controllers() -> dict[str, ControllerEntry]:
     """Return every controller that has a name, classical ones first."""
     entries = [
-        ControllerEntry(name, "classical", each.summary, each.tests) for name, each in BASELINES.items()
+        ControllerEntry(name, "classical", each.summary, each.tests, each.knows_motion)
+        for name, each in BASELINES.items()
     ]
     entries += [ControllerEntry(name, "classical", summary) for name, summary in SUMMARIES.items()]
     entries.append(
-        ControllerEntry(ORACLE, "oracle", "not a competitor: true plant, full state, 0.5 s of preview")
+        ControllerEntry(ORACLE, "oracle", "linear law for the true plant: full state, 0.5 s of preview")
     )
     for name in SHIPPED:
         files = dict.fromkeys(shipped_policy(name, scenario).stem for scenario in NAMED)
@@ -139,9 +142,7 @@ def get_controller(
         if parameters is None:
             parameters = parameter_values(entry.name, scenario).parameters
         return designed(entry.name, baseline, scenario, parameters, earthquakes)
-    policy = load_policy(policy_path(entry.name, known_name(scenario)))
-    policy.check(scenario)
-    return policy
+    return load_policy(policy_path(entry.name, known_name(scenario))).reading(scenario)
 
 
 def get_driven(
@@ -157,6 +158,19 @@ def get_driven(
     if find_controller(name).kind == "oracle":
         return oracle_controller(scenario, earthquakes)
     return scenario, get_controller(name, scenario, earthquakes, parameters)
+
+
+def information_of(name: str, scenario: Scenario) -> Information:
+    """Return the class of what a controller, named as for `find_controller`, knows on a scenario.
+
+    A policy or a controller of one's own is taken to use all that the scenario shows.
+    """
+    entry = find_controller(name)
+    if entry.kind == "oracle":
+        return "true plant"
+    if entry.kind == "classical":
+        return baseline_of(entry.name, scenario).information(scenario)
+    return scenario_information(scenario)
 
 
 def values_for(
@@ -221,6 +235,7 @@ __all__ = [
     "find_controller",
     "get_controller",
     "get_driven",
+    "information_of",
     "policy_path",
     "shipped_policy",
     "values_for",

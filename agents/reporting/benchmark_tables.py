@@ -8,18 +8,25 @@ from pathlib import Path
 from typing import Any
 
 from agents.evaluation.results import cost_text
+from agents.reporting.bound_notes import bound_notes, causal_notes, class_note, marked
 from agents.reporting.markdown_blocks import markdown_table, put
 
 
 def markdown(result: dict[str, Any]) -> str:
     """Return a result as a Markdown table."""
     head = (
-        "controller", f"cost / {result['reference']} [95 %]", "accel. % rms, peak", "shear % rms, peak",
+        "controller", "information", "cost / bound [95 %]", f"cost / {result['reference']} [95 %]",
+        "regret closed %",
+"accel. % rms, peak", "shear % rms, peak",
         "lag ms", "spectrum %", "Arias", "drift", "energy", "ended", "us",
     )  # fmt: skip
-    rows = []
+    rows, own = [], result["information"]
     for row in result["rows"]:
-        cost = cost_text(row["relative_cost"], row["relative_cost_low"], row["relative_cost_high"])
+        costs = [
+            "-" if row[name] is None else cost_text(*(row[name + end] for end in ("", "_low", "_high")))
+            for name in ("bound_cost", "relative_cost")
+        ]
+        closed = "-" if row["regret_closed"] is None else f"{100 * row['regret_closed']:.0f}"
         lag = "-" if row["delay"] is None else f"{1e3 * row['delay']:.1f}"
         errors = [
             f"{100 * row[f'{name}_rms_error']:.1f}, {100 * row[f'{name}_peak_error']:.0f}"
@@ -28,8 +35,8 @@ def markdown(result: dict[str, Any]) -> str:
         ratios = [f"{row[f'{name}_ratio']:.2f}" for name in ("arias", "drift", "energy")]
         decision = "-" if row["decision_time"] is None else f"{1e6 * row['decision_time']:.0f}"
         rows.append(
-            [row["controller"], cost, *errors, lag, f"{100 * row['spectral_error']:.0f}", *ratios,
-             str(row["broken_limits"]), decision]
+            [row["controller"], marked(row["information"], own), *costs, closed, *errors, lag,
+             f"{100 * row['spectral_error']:.0f}", *ratios, str(row["broken_limits"]), decision]
         )  # fmt: skip
     number = result["rows"][0]["earthquakes"]
     lines = [markdown_table(head, rows)]
@@ -42,6 +49,10 @@ def markdown(result: dict[str, Any]) -> str:
             )
     seed = "recorded" if result["seed"] is None else f"seeds from {result['seed']}"
     lines.append(f"{number} earthquakes, {seed}, version {result['version']}, {result['machine']}.")
+    if result["bound"] is not None:
+        lines += bound_notes(result["bound"], number)
+        lines += causal_notes(result["causal_bound"], own, result["rows"], result["bound"])
+        lines += class_note([row["information"] for row in result["rows"]], own)
     return "\n".join(lines) + "\n"
 
 

@@ -6,10 +6,11 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from agents.reporting.bound_notes import bound_notes, causal_notes, class_note, marked
 from agents.reporting.markdown_blocks import has_place, markdown_table, put
 
 COLUMNS = (
-    "controller", "runs", "cost / {normaliser}", "IQM", "worst 5 %", "cost / {reference}",
+    "controller", "information", "runs", "cost / {normaliser}", "IQM", "worst 5 %", "cost / {reference}",
     "P(better than {reference})", "shear % rms", "accel. % rms", "failures", "us",
 )  # fmt: skip
 
@@ -21,12 +22,14 @@ def markdown(result: dict[str, Any]) -> str:
     names = ["drift_error", "energy_error", "regret_closed", "optimality"]
     shown = [name for name in names if any(row[name] is not None for row in result["rows"])]
     titles = {"regret_closed": "regret closed %", "optimality": "cost / J*"}
-    head[8:8] = [titles.get(name, f"{name.removesuffix('_error')} off % (median)") for name in shown]
+    head[9:9] = [titles.get(name, f"{name.removesuffix('_error')} off % (median)") for name in shown]
     if same:
-        del head[5]
+        del head[6]
+    own = result.get("information", "")
     rows = [
         [
             row["controller"],
+            marked(row.get("information", "-"), own),
             str(row["runs"]) if row["sources"] else "-",
             cost_interval(row["relative_cost"]),
             cost_interval(row["interquartile_mean"]),
@@ -42,14 +45,21 @@ def markdown(result: dict[str, Any]) -> str:
         for row in ranked(result)
     ]
     seed = "recorded" if result["seed"] is None else f"seeds from {result['seed']}"
-    optimum = result["optimal_cost"]
     codes = dict.fromkeys(str(row["code"]) for row in result["rows"])
     machines = dict.fromkeys(str(row["machine"]) for row in result["rows"])
-    return (
-        f"{markdown_table(head, rows)}\n{len(result['earthquakes'])} earthquakes, {seed}; version "
-        f"{result['version']} ({', '.join(codes)}), {'; '.join(machines)}."
-        + ("\n" if optimum is None else f" J* = {optimum:.6g}.\n")
-    )
+    lines = [
+        markdown_table(head, rows),
+        f"{len(result['earthquakes'])} earthquakes, {seed}; version {result['version']} "
+        f"({', '.join(codes)}), {'; '.join(machines)}.",
+    ]
+    if "bound" in result:
+        classes = [row["information"] for row in result["rows"]]
+        lines += bound_notes(result["bound"], len(result["earthquakes"]))
+        lines += causal_notes(result["causal_bound"], own, result["rows"], result["bound"])
+        lines += class_note(classes, own)
+    elif result["optimal_cost"] is not None:
+        lines.append(f"J* = {result['optimal_cost']:.6g}.")
+    return "\n".join(lines) + "\n"
 
 
 def cost_interval(found: dict[str, float]) -> str:
@@ -62,7 +72,7 @@ def _scale(name: str) -> float:
 
 
 def ranked(result: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows by cost, the normaliser first."""
+    """Return the rows by cost, a controller that is the normaliser first."""
     first = result["normaliser"]
     return sorted(result["rows"], key=lambda r: (r["controller"] != first, r["relative_cost"]["value"]))
 

@@ -63,7 +63,7 @@ def write_card(
     """
     file = Path(file)
     policy, sha = load_policy(file), digest(file)
-    found = [(result, _row(result, path, sha)) for path, result in _read(results)]
+    evaluations = [(result, _row(result, path, sha)) for path, result in _read(results)]
     unlike = [] if robustness is None else robustness_of(robustness, sha)
     if robustness is not None and not unlike:
         raise ParameterError(
@@ -75,7 +75,7 @@ def write_card(
         figure = file.with_suffix(".png")
         draw_curve(policy.card["curve"], figure)
         written.append(figure)
-    text = card_text(policy, file, sha, found, figure, limits, unlike)
+    text = card_text(policy, file, sha, evaluations, figure, limits, unlike)
     write_text(written[0], text)
     return written
 
@@ -109,7 +109,7 @@ def card_text(
     policy: PolicyFile,
     file: str | PathLike[str],
     sha: str,
-    found: Sequence[tuple[dict[str, Any], dict[str, Any]]],
+    evaluations: Sequence[tuple[dict[str, Any], dict[str, Any]]],
     figure: Path | None,
     limits: str,
     unlike: Sequence[str] = (),
@@ -120,7 +120,7 @@ def card_text(
     ----------
     policy, file, sha
         The policy, where it lies and its SHA-256.
-    found
+    evaluations
         Results, and their row of this policy.
     figure
         Its learning curve, or None.
@@ -163,9 +163,9 @@ def card_text(
         ]
     if figure is not None:
         lines += [f"![Learning curve]({figure.name})", ""]
-    for result, row in found:
+    for result, row in evaluations:
         lines += _evaluation(result, row, sha)
-    if not found:
+    if not evaluations:
         lines += ["Not evaluated on test earthquakes yet.", ""]
     if unlike:
         lines += [
@@ -177,7 +177,7 @@ def card_text(
             *(f"- {sentence}" for sentence in unlike),
             "",
         ]
-    lines += ["## Limits of use", "", *_limits(policy, name, found, limits), ""]
+    lines += ["## Limits of use", "", *_limits(policy, name, evaluations, limits), ""]
     return "\n".join(lines)
 
 
@@ -216,7 +216,7 @@ def _evaluation(result: dict[str, Any], row: dict[str, Any], sha: str) -> list[s
 def _limits(
     policy: PolicyFile,
     name: str,
-    found: Sequence[tuple[dict[str, Any], dict[str, Any]]],
+    evaluations: Sequence[tuple[dict[str, Any], dict[str, Any]]],
     limits: str,
 ) -> list[str]:
     rate = policy.card.get("control_rate", 0.0)
@@ -231,7 +231,7 @@ def _limits(
         )
     else:
         lines.append("- Amplitudes other than those of training were not learned.")
-    for result, row in found:
+    for result, row in evaluations:
         if row["failures"]:
             where = result.get("evaluation_task", result["scenario"])
             lines.append(f"- On {where} a limit ended {row['failures']} of {row['episodes']} episodes.")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from agents.evaluation.bootstrap import mean_interval
 from agents.evaluation.comparison import Histories
 from agents.evaluation.fidelity import spectrum
-from agents.evaluation.results import Comparison
+from agents.evaluation.results import Comparison, drive_column
 from agents.policies.policy_file import PolicyFile, load_policy
 from agents.policies.registry import ORACLE, SHIPPED, policy_path
 from agents.reporting.report_estimates import Drawn, TransferEstimate, lqr_frontier
@@ -50,9 +50,9 @@ class HistoryCollector:
 
     def __call__(self, name: str, histories: Histories) -> None:
         """Keep what the report needs of a controller's histories."""
-        step = self.scenario.physics_step
+        step, (*_, factor) = self.scenario.physics_step, drive_column(self.scenario.input_unit)
         self.earthquakes = [quake for quake, _ in histories]
-        self.runs[name] = [achieved_curves(t, self.drift) for _, t in histories]
+        self.runs[name] = [achieved_curves(t, self.drift, factor) for _, t in histories]
         self.spectra[name] = [spectrum(t.table_acceleration, step) for _, t in histories]
         estimate = self.transfer[name] = TransferEstimate(step)
         for i, (_, trajectory) in enumerate(histories):
@@ -174,8 +174,8 @@ def channels(scenario: Scenario) -> tuple[Channel, ...]:
     if pressure is None and np.isfinite(valve.supply_pressure):
         pressure = valve.supply_pressure
     stroke = limits.table_displacement
-    unit = scenario.input_unit
-    drive = ("valve current" if unit == "A" else "input", f"m{unit}")
+    name, unit, factor = drive_column(scenario.input_unit)
+    drive = ("valve current" if name == "current" else name, unit)
 
     def scaled(value: float | None, factor: float) -> float | None:
         return None if value is None else factor * value
@@ -183,7 +183,7 @@ def channels(scenario: Scenario) -> tuple[Channel, ...]:
     return (
         Channel("acceleration", "table acceleration", "m/s²", limits.table_acceleration, targeted=True),
         Channel("shear", "base shear", "kN", targeted=True),
-        Channel("current", *drive, 1e3 * scenario.current_limit),
+        Channel("current", *drive, factor * scenario.current_limit),
         Channel("pressure", "load pressure", "MPa", scaled(pressure, 1e-6)),
         Channel("stroke", "stroke", "mm", scaled(stroke, 1e3)),
     )

@@ -14,6 +14,7 @@ from shake_env.errors import NumericalError
 from shake_env.model.parameters import ModelEquations
 from shake_env.rollout import Earthquake
 from shake_env.scenario.scenario import Scenario
+from shake_env.simulation.simulation import earthquake_stream
 from shake_env.simulation.trajectory import Trajectory
 
 FloatArray = NDArray[np.float64]
@@ -84,7 +85,7 @@ class Drawn:
         """Repeat the draws of `Simulation.start`: the motion first, then the plant."""
         rows = []
         for quake in earthquakes:
-            stream = np.random.default_rng(quake.seed)
+            stream = earthquake_stream(quake.seed)
             quake.motion.pick(stream)
             rows.append(scenario.uncertainty.sample(stream))
         names = rows[0].keys() if rows else ()
@@ -114,8 +115,10 @@ def lqr_frontier(scenario: Scenario) -> list[tuple[float, float]]:
             force_weight=float(np.sqrt(ratio)),
         )
         try:
-            found = sampled_lqr(scenario.discrete, weights.coefficients(scenario.plant)).performance
+            performance = sampled_lqr(
+                scenario.discrete, weights.coefficients(scenario.plant)
+            ).performance
         except NumericalError:
             continue  # a corner of the curve without a safe solution is left out
-        points.append((found.acceleration_rms_ratio, found.base_shear_rms_ratio))
+        points.append((performance.acceleration_rms_ratio, performance.base_shear_rms_ratio))
     return points

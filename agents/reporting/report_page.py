@@ -20,15 +20,18 @@ from matplotlib.figure import Figure
 
 import shake_env
 from agents.evaluation.bootstrap import mean_interval
-from agents.evaluation.results import GroupSummary
+from agents.evaluation.results import GroupSummary, drive_column
 from agents.figure_style import figure_style
 from agents.policies.registry import ORACLE
+from agents.reporting.bound_notes import marked
+from agents.reporting.comparison_tables import comparison_notes
 from agents.reporting.report import Report
 from agents.reporting.report_data import page_data
 from agents.reporting.report_figures import stills
 from agents.reporting.report_tracking import TRACKING_COLUMNS, tracking_rows
 from agents.reporting.robustness_figures import figures
 from agents.reporting.robustness_tables import findings, label
+from agents.reporting.summary_text import QUESTIONS
 from shake_env.files import write_text
 
 ROBUSTNESS_FIGURES = (
@@ -79,7 +82,10 @@ def page(report: Report, stills: Sequence[str]) -> str:
         setting=_setting(report),
         changed=None if report.unlike is None else _robustness(report.unlike),
         stills=stills,
-        bound=ORACLE,
+        oracle=ORACLE,
+        questions=QUESTIONS,
+        drive=drive_column(report.scenario.input_unit),
+        notes=comparison_notes(comparison),
         version=shake_env.__version__,
         script=script,
         style=style,
@@ -95,7 +101,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    environment.filters.update(number=_number, interval=_interval, unbroken=unbroken)
+    environment.filters.update(number=_number, interval=_interval, unbroken=unbroken, marked=marked)
     environment.tests["finite"] = _finite
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
     return environment

@@ -54,14 +54,17 @@ class Curves:
         )
 
 
-def achieved_curves(trajectory: Trajectory, drift: bool) -> Curves:
-    """Return what the table and the specimen did, at the end of each control period."""
+def achieved_curves(trajectory: Trajectory, drift: bool, input_factor: float = 1e3) -> Curves:
+    """Return what the table and the specimen did, at the end of each control period.
+
+    `input_factor` takes the input to the unit of its panel: 1e3 to mA.
+    """
     steps = len(trajectory.current)
     ends = slice(len(trajectory.time) // steps - 1, None, len(trajectory.time) // steps)
     values = {
         "acceleration": trajectory.table_acceleration[ends],
         "shear": 1e-3 * trajectory.base_shear[ends],
-        "current": 1e3 * trajectory.current,
+        "current": input_factor * trajectory.current,
         "pressure": 1e-6 * trajectory.state[:, LOAD_PRESSURE],
         "stroke": 1e3 * trajectory.state[:, TABLE_DISPLACEMENT],
     }

@@ -32,8 +32,8 @@ def at(result: dict[str, Any], **values: float) -> Point:
     changes = {name: value for name, value in values.items() if nominal.get(name) != value}
     for point in result["points"]:
         if point["changes"] == changes:
-            found: Point = point
-            return found
+            typed_point: Point = point
+            return typed_point
     raise ParameterError("point", values, "is not in the result: run shake robustness with it")
 
 

@@ -5,6 +5,7 @@ The words are in ``assets/verdict.txt``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +17,7 @@ from agents.evaluation.results import Comparison, GroupSummary
 from agents.policies.registry import ORACLE
 from shake_env.scenario.scenario import Scenario
 
+QUESTIONS = ("Who wins", "Where it loses", "What limits it")
 NEAR = 0.9  # share of a limit from which on it counts as what limits a test
 ERRORS = {"acceleration": "acceleration_rms_error", "base shear": "base_shear_rms_error"}
 
@@ -45,7 +47,7 @@ def main_group(comparison: Comparison) -> str:
 def verdict(comparison: Comparison, scenario: Scenario, label: Callable[[str], str] = str) -> Verdict:
     """Return the verdict of a comparison.
 
-    The oracle knows each plant and the coming target, and is no candidate. Intervals are 95 %
+    The oracle knows each plant and is no candidate. Intervals are 95 %
     bootstrap intervals over earthquakes, paired.
 
     Parameters
@@ -66,7 +68,7 @@ def verdict(comparison: Comparison, scenario: Scenario, label: Callable[[str], s
     )
     group = main_group(comparison)
     rows = {s.controller: s for s in comparison.summaries if s.group == group}
-    bound = rows.pop(ORACLE, None)
+    rows.pop(ORACLE, None)
     candidates = sorted(rows.values(), key=lambda row: row.relative_cost)
     facts = {
         "label": label,
@@ -75,7 +77,7 @@ def verdict(comparison: Comparison, scenario: Scenario, label: Callable[[str], s
         "near": NEAR,
         "where": _count(candidates[0].earthquakes, group),
         **_rivals(comparison, candidates, group),
-        **_limits(candidates[0], bound, scenario),
+        **_limits(candidates[0], scenario),
     }
     words: Any = environment.get_template("verdict.txt").make_module(facts)
     sentences = (str(part()).strip() for part in (words.wins, words.loses, words.limits))
@@ -115,7 +117,7 @@ def _rivals(comparison: Comparison, candidates: list[GroupSummary], group: str) 
     return dict(best=best, second=second, gain=gain, ahead=ahead, lost=lost, larger=larger)
 
 
-def _limits(best: GroupSummary, bound: GroupSummary | None, scenario: Scenario) -> dict[str, Any]:
+def _limits(best: GroupSummary, scenario: Scenario) -> dict[str, Any]:
     """Return the limit that comes closest, the share of it that is used, and what the bound saves."""
     shares = {
         "current": (best.peak_current, scenario.current_limit),
@@ -124,7 +126,7 @@ def _limits(best: GroupSummary, bound: GroupSummary | None, scenario: Scenario) 
     }
     used = {what: value / limit for what, (value, limit) in shares.items() if limit is not None}
     limit = max(used, key=lambda each: used[each])
-    saved = 0.0 if bound is None else max(0.0, 1 - bound.relative_cost / best.relative_cost)
+    saved = max(0.0, 1.0 - 1.0 / best.bound_cost) if math.isfinite(best.bound_cost) else 0.0
     return {"limit": limit, "used": used[limit], "saved": saved}
 
 

@@ -97,29 +97,29 @@ def sensor_fault(case: Case, layout: ObservationLayout, lanes: int, seed: int) -
     last: list[NDArray[np.float32]] = []
 
     def shown(k: int, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        seen, begun = observation.copy(), k >= onset
+        reading, begun = observation.copy(), k >= onset
         before = last.pop() if last else observation.copy()
         if case.sensor == "frozen":
-            seen[begun, at] = before[begun, at]
+            reading[begun, at] = before[begun, at]
         elif case.sensor in ("dead", "missing"):
-            seen[begun, at] = 0.0 if case.sensor == "dead" else np.nan
+            reading[begun, at] = 0.0 if case.sensor == "dead" else np.nan
         elif case.sensor == "spikes":
             hit = r.random((lanes, len(full))) < SPIKES
             spike = r.choice([-1.0, 1.0], hit.shape) * full
-            seen[:, readings] = np.where(hit, spike, seen[:, readings])
+            reading[:, readings] = np.where(hit, spike, reading[:, readings])
         elif case.sensor == "lost":
             hit = r.random(lanes) < LOST
-            seen[hit] = before[hit]
+            reading[hit] = before[hit]
         elif case.sensor == "stale":
             hit = r.random((lanes, len(full))) < LOST
-            seen[:, readings] = np.where(hit, before[:, readings], seen[:, readings])
+            reading[:, readings] = np.where(hit, before[:, readings], reading[:, readings])
         elif case.sensor == "late":
             last.append(observation.copy())
             return before
         elif case.sensor == "offset":
-            seen[:, at] += case.offset / layout.reading_scale[(at or 0) - readings.start]
-        last.append(seen)
-        return seen
+            reading[:, at] += case.offset / layout.reading_scale[(at or 0) - readings.start]
+        last.append(reading)
+        return reading
 
     return shown
 

@@ -61,49 +61,53 @@ class TrainingView:
             self._live.__exit__(kind, problem, trace)
         self._pause.__exit__(kind, problem, trace)
 
-    def __call__(self, told: Progress) -> None:
+    def __call__(self, progress: Progress) -> None:
         """Show where the run stands."""
         if self._first is None:
-            self._first = told
+            self._first = progress
         if self._log and display.due():
-            ratio = f", cost / {told.reference} {told.evaluations[-1]:.3f}" if told.evaluations else ""
-            display.note(f"{self.title}: step {told.steps} of {told.total_steps}{ratio}")
-        self._live.update(self.render(told))
+            ratio = (
+                f", cost / {progress.reference} {progress.evaluations[-1]:.3f}"
+                if progress.evaluations
+                else ""
+            )
+            display.note(f"{self.title}: step {progress.steps} of {progress.total_steps}{ratio}")
+        self._live.update(self.render(progress))
 
-    def render(self, told: Progress) -> Group:
+    def render(self, progress: Progress) -> Group:
         """Return what is shown for a `Progress`."""
         rows = Table.grid(padding=(0, 2))
         rows.add_column(style="bold")
         rows.add_column()
-        bar = ProgressBar(told.total_steps, told.steps, width=WIDTH)
-        share = min(1.0, told.steps / told.total_steps)
+        bar = ProgressBar(progress.total_steps, progress.steps, width=WIDTH)
+        share = min(1.0, progress.steps / progress.total_steps)
         rows.add_row(self.title, bar)
-        rows.add_row("done", f"{100 * share:.0f} %, {self._time_left(told)}")
-        if told.evaluations:
-            last, best = told.evaluations[-1], min(told.evaluations)
+        rows.add_row("done", f"{100 * share:.0f} %, {self._time_left(progress)}")
+        if progress.evaluations:
+            last, best = progress.evaluations[-1], min(progress.evaluations)
             rows.add_row(
-                f"cost / {told.reference}",
+                f"cost / {progress.reference}",
                 f"{last:.3f} now, {best:.3f} at best (1: as good; less: better)",
             )
-            shown = told.evaluations[-WIDTH:]
-            rows.add_row("evaluations", f"{sparkline(shown)}  from {told.evaluations[0]:.3g}")
-        if told.errors is not None:
-            acceleration, shear = told.errors
+            shown = progress.evaluations[-WIDTH:]
+            rows.add_row("evaluations", f"{sparkline(shown)}  from {progress.evaluations[0]:.3g}")
+        if progress.errors is not None:
+            acceleration, shear = progress.errors
             rows.add_row(
                 "errors",
                 f"acceleration {100 * acceleration:.1f} %, base shear {100 * shear:.1f} % of target",
             )
-        rows.add_row("that is", Text(meaning(told)))
+        rows.add_row("that is", Text(meaning(progress)))
         return Group(rows)
 
-    def _time_left(self, told: Progress) -> str:
-        first = self._first or told
-        done, seconds = told.steps - first.steps, told.seconds - first.seconds
-        if told.steps >= told.total_steps:
-            return f"took {_duration(told.seconds)}"
-        if done <= 0 or (seconds < ENOUGH and done < 0.05 * told.total_steps):
+    def _time_left(self, progress: Progress) -> str:
+        first = self._first or progress
+        done, seconds = progress.steps - first.steps, progress.seconds - first.seconds
+        if progress.steps >= progress.total_steps:
+            return f"took {_duration(progress.seconds)}"
+        if done <= 0 or (seconds < ENOUGH and done < 0.05 * progress.total_steps):
             return "time left: not known yet"
-        return f"about {_duration((told.total_steps - told.steps) * seconds / done)} left"
+        return f"about {_duration((progress.total_steps - progress.steps) * seconds / done)} left"
 
 
 def sparkline(values: Sequence[float]) -> str:
@@ -114,12 +118,12 @@ def sparkline(values: Sequence[float]) -> str:
     return "".join(BARS[round(float(each) * (len(BARS) - 1))] for each in share)
 
 
-def meaning(told: Progress) -> str:
+def meaning(progress: Progress) -> str:
     """Return in words what the evaluations say."""
-    if not told.evaluations:
+    if not progress.evaluations:
         return "the untrained policy, about to be evaluated for the first time"
-    last, best = told.evaluations[-1], min(told.evaluations)
-    if last > 2.0 * best and len(told.evaluations) > 2:
+    last, best = progress.evaluations[-1], min(progress.evaluations)
+    if last > 2.0 * best and len(progress.evaluations) > 2:
         return "worse than it was: it may recover; if it does not, lower the learning rate"
     if last > 3.0:
         return "hardly controlled yet, as is usual early on; wait for the evaluations to fall"

@@ -142,19 +142,19 @@ def balanced_truncation(system: StateSpace, order: int, match: Match = "high") -
     n = system.order
     if not 1 <= order <= n:
         raise ParameterError("order", order, f"must lie in 1 to {n}")
-    found = balancing(system)
-    sigma = found.hankel_singular_values
+    balanced = balancing(system)
+    sigma = balanced.hankel_singular_values
     if sigma[order - 1] <= np.finfo(float).tiny:
         raise NumericalError("Hankel singular value", float(sigma[order - 1]), "leaves no such order")
     # The weakest states of a model that is not minimal cannot be told from rounding: their balanced
     # coordinates would only add noise, so that letting them settle means dropping them.
-    kept = order if match == "high" else max(order, int(np.sum(sigma > 1e-14 * sigma[0])))
-    left, right = found.left[:, :kept], found.right[:, :kept]
+    retained = order if match == "high" else max(order, int(np.sum(sigma > 1e-14 * sigma[0])))
+    left, right = balanced.left[:, :retained], balanced.right[:, :retained]
     A, B, C = left.T @ system.A @ right, left.T @ system.B, system.C @ right
-    if match == "high" or kept == order:
+    if match == "high" or retained == order:
         reduced = StateSpace(A, B, C, system.D)
     else:
-        s, f = slice(0, order), slice(order, kept)
+        s, f = slice(0, order), slice(order, retained)
         settle = -np.linalg.solve(A[f, f], np.hstack([A[f, s], B[f]]))
         to_state, to_input = settle[:, :order], settle[:, order:]
         reduced = StateSpace(
@@ -201,11 +201,11 @@ def h_infinity_norm(system: StateSpace, other: StateSpace | None = None) -> tupl
     best, where = float(np.max(gain)), float(omega[np.argmax(gain)])
     for i in peaks[np.argsort(gain[peaks])[::-1][:REFINED_PEAKS]]:
         ends = np.log(omega[[max(i - 1, 0), min(i + 1, len(omega) - 1)]])
-        found = minimize_scalar(
+        peak = minimize_scalar(
             lambda x: -float(gain_curve(system, np.exp([x]), other)[0]), bounds=ends, method="bounded"
         )
-        if -found.fun > best:
-            best, where = float(-found.fun), float(np.exp(found.x))
+        if -peak.fun > best:
+            best, where = float(-peak.fun), float(np.exp(peak.x))
     return best, where
 
 

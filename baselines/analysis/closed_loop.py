@@ -50,8 +50,8 @@ class ContinuousClosedLoop:
     @cached_property
     def poles(self) -> ComplexArray:
         """Poles [rad/s], (n,), the fastest first."""
-        found = np.linalg.eigvals(self.system.A).astype(np.complex128)
-        return found[np.argsort(-np.abs(found))]
+        eigenvalues = np.linalg.eigvals(self.system.A).astype(np.complex128)
+        return eigenvalues[np.argsort(-np.abs(eigenvalues))]
 
     def scaled(self, outputs: tuple[str, ...] | None = None) -> StateSpace:
         """Return the model with `outputs` (None: all), each over its size: fit to be reduced.

@@ -244,9 +244,10 @@ class CertaintyEquivalence:
         places = [shown.reading_names.index(signal) for signal in SIGNALS]
         readings = (seen[:, shown.readings] * shown.reading_scale)[:, places]
         cutoff = shown.sensor_values("lowpass_frequency")[places[-1]]
-        kept = math.exp(-2.0 * math.pi * self.scenario.control_period * cutoff)
         raw = readings[:, -1].copy()
-        readings[:, -1] = (raw - kept * belief.acceleration[:, 1]) / (1.0 - kept)
+        # The low-pass, f' = omega (y - f), is undone by a difference of two readings.
+        lead = 1.0 / (2.0 * math.pi * self.scenario.control_period * cutoff)
+        readings[:, -1] += lead * (raw - belief.acceleration[:, 1])
         return readings, raw
 
     def _simulated(

@@ -11,17 +11,19 @@ noise (Widrow and Kollar, Quantization Noise, 2008). Everything is in the units 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
 
+from shake_env.dynamics.low_pass import STATE_SIGNALS
 from shake_env.dynamics.nonlinear import (
     FLOW,
     FORCE,
     arrival,
     commands_under_way,
     controlled_plant,
+    controlled_scale,
     floor_rows,
 )
 from shake_env.model.discretization import noise_covariance, zero_order_hold
@@ -106,7 +108,7 @@ def _motion_size(scenario: Scenario) -> float:
 class EstimatorModel:
     """One control period as the filter sees it, in observation units.
 
-    States ``[x_A, x_S, force, flow]``, outputs of the low-passes, offsets: n in all. Inputs are the
+    States ``[x_A, x_S, force, flow, low-passes, offsets]``, n in all. Inputs are the
     actions of the periods that still act, oldest first.
 
     `ahead` gives the state when the next action begins to act. With ``p_l + force / A_p`` and
@@ -155,31 +157,24 @@ class EstimatorModel:
         table = _disturbed(scenario, error)
         A, B, Q, ahead = _period(scenario, table)
         sensors = _Sensors.of(scenario, table)
-        S, follow = sensors.rows, sensors.follow
-        filtered, biased = np.flatnonzero(follow < 1.0), np.flatnonzero(sensors.bias > 0.0)
-        x, f, b = len(A), len(filtered), len(biased)
-        n = x + f + b
-        # A low-pass follows the signal at the period's end, process noise and all.
-        taken = follow[filtered, None] * S[filtered]
-        T = np.vstack([np.eye(x), taken, np.zeros((b, x))])
+        biased = np.flatnonzero(sensors.bias > 0.0)
+        x, b = len(A), len(biased)
+        n = x + b
         keep = math.exp(-scenario.control_period / error.bias_time)
-        full = block_diag(A, np.diag(1.0 - follow[filtered]), keep * np.eye(b))
-        full[x : x + f, :x] = taken @ A
-        C, start, wander = np.zeros((len(S), n)), np.zeros((n, n)), np.zeros((n, n))
-        C[:, :x] = np.where((follow < 1.0)[:, None], 0.0, S)
-        C[filtered, x + np.arange(f)] = 1.0
-        C[biased, x + f + np.arange(b)] = 1.0
-        start[x + f :, x + f :] = np.diag(sensors.bias[biased] ** 2)
-        wander[x + f :, x + f :] = (1.0 - keep**2) * start[x + f :, x + f :]
-        controlled = x - DISTURBANCES
+        C, start = np.zeros((len(sensors.rows), n)), np.zeros((n, n))
+        C[:, :x] = sensors.rows
+        C[biased, x + np.arange(b)] = 1.0
+        start[x:, x:] = np.diag(sensors.bias[biased] ** 2)
+        controlled = scenario.plant.layout.controlled.stop - scenario.plant.layout.controlled.start
         relieved = ahead[:controlled].copy()
-        relieved[[LOAD_PRESSURE, SPOOL_POSITION]] += accommodate * ahead[controlled:]
-        reach = np.insert(relieved, [x] * (f + b), 0.0, axis=1)
+        hidden = ahead[controlled : controlled + DISTURBANCES]
+        relieved[[LOAD_PRESSURE, SPOOL_POSITION]] += accommodate * hidden
+        reach = np.insert(relieved, [x] * b, 0.0, axis=1)
         return cls(
-            A=full,
-            B=T @ B,
+            A=block_diag(A, keep * np.eye(b)),
+            B=np.vstack([B, np.zeros((b, B.shape[1]))]),
             C=C,
-            Q=T @ Q @ T.T + wander,
+            Q=block_diag(Q, np.zeros((b, b))) + (1.0 - keep**2) * start,
             R=sensors.variance,
             start=start,
             ahead=reach,
@@ -190,8 +185,7 @@ class EstimatorModel:
 class _Sensors:
     """Readings over their scale as the filter models them."""
 
-    rows: FloatArray  # (s, x) of the signals on ``[x_A, x_S, disturbances]``
-    follow: FloatArray  # (s,) share of its way that a low-pass goes in a period
+    rows: FloatArray  # (s, x) of the signals on ``[x_A, x_S, disturbances, low-passes]``
     bias: FloatArray  # (s,) rms
     variance: FloatArray  # (s,) of the white noise
 
@@ -200,34 +194,42 @@ class _Sensors:
         x, layout, plant = table.order, scenario.observation, scenario.plant
         if scenario.sensing.full_state:
             s = x - DISTURBANCES
-            return cls(np.eye(s, x), np.ones(s), np.zeros(s), np.full(s, ROUNDING**2))
-        measurement = Measurement.of(layout, scenario.control_period)
+            return cls(np.eye(s, x), np.zeros(s), np.full(s, ROUNDING**2))
+        measurement = Measurement.of(scenario)
         scale = plant.state_scale[plant.layout.controlled]
         # The signals of a batch of states, one for each entry, are the rows.
-        states = np.pad(np.diag(scale), ((0, DISTURBANCES), (0, 0)))
+        f = len(layout.low_passes)
+        states = np.pad(np.diag(scale), ((0, DISTURBANCES + f), (0, 0)))
         floors = states[:, 4:] @ floor_rows(plant, Yielding()).T
-        rows = measurement.signals(states, table.C[0], table.C[1], floors).T
+        behind = {each.signal: i for i, each in enumerate(layout.low_passes)}
+        plain = [STATE_SIGNALS.get(name, -1) for name in layout.reading_names]
+        unfiltered = replace(measurement, places=np.array(plain, dtype=int))
+        rows = unfiltered.signals(states, table.C[0], table.C[1], floors).T
+        for row, name, size in zip(rows, layout.reading_names, measurement.scale, strict=True):
+            if name in behind:
+                row[:] = 0.0
+                row[x - f + behind[name]] = size
         noise = layout.sensor_values("noise") ** 2 + layout.sensor_values("resolution") ** 2 / 12.0
         return cls(
             rows / measurement.scale[:, None],
-            measurement.follow,
             layout.sensor_values("bias") / measurement.scale,
             noise / measurement.scale**2 + ROUNDING**2,
         )
 
 
 def _disturbed(scenario: Scenario, error: ModelError) -> StateSpace:
-    """Return the continuous plant on ``[x_A, x_S, force, flow]``, in observation units.
+    """Return the continuous plant on ``[x_A, x_S, force, flow, low-passes]``, in observation units.
 
     Inputs ``[u, w_force, w_flow]``: the action and unit white noises; outputs ``[y_A, f_s]`` in SI.
     """
     plant = scenario.plant
-    base = controlled_plant(plant, Nonlinearity())
-    n = base.order
-    scale = plant.state_scale[plant.layout.controlled]
+    low_passes = scenario.observation.low_passes
+    base = controlled_plant(plant, Nonlinearity(), low_passes)
+    n, m = base.order, base.order + DISTURBANCES
+    scale = controlled_scale(plant, Nonlinearity(), low_passes)
     # In units of the rms force on a table that tracks perfectly, and of its spool.
     sizes = np.array([scale[LOAD_PRESSURE] * plant.actuator.piston_area, scale[SPOOL_POSITION]])
-    A, B, C = np.zeros((n + 2, n + 2)), np.zeros((n + 2, 3)), np.zeros((2, n + 2))
+    A, B, C = np.zeros((m, m)), np.zeros((m, 3)), np.zeros((2, m))
     inputs = base.B[:, [1 + FORCE, 1 + FLOW]] * sizes
     A[:n, :n] = base.A * scale / scale[:, None]
     A[:n, n:] = inputs / scale[:, None]
@@ -236,7 +238,9 @@ def _disturbed(scenario: Scenario, error: ModelError) -> StateSpace:
     for i, (rms, time) in enumerate(((error.force, error.force_time), (error.flow, error.flow_time))):
         A[n + i, n + i] = -1.0 / time
         B[n + i, 1 + i] = math.sqrt(2.0 / time) * rms / sizes[i]
-    return StateSpace(A, B, C, np.zeros((2, 3)))
+    first = n - len(low_passes)
+    order = np.r_[:first, n:m, first:n]  # the disturbances before the low-passes
+    return StateSpace(A[np.ix_(order, order)], B[order], C[:, order], np.zeros((2, 3)))
 
 
 def _period(

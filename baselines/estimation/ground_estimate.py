@@ -89,11 +89,11 @@ def foresight(scenario: Scenario, shown: Scenario) -> tuple[FloatArray, FloatArr
     target = plant.coupled.C[2, e] * scale / np.sqrt(plant.target_variance)
     ahead = scenario.delay * dt
     known, wanted = scenario.observation, shown.observation
-    seen = dt * known.preview_spacing * np.arange(1, known.preview_samples + 1)
+    times = dt * known.preview_spacing * np.arange(1, known.preview_samples + 1)
     asked = ahead + dt * wanted.preview_spacing * np.arange(1, wanted.preview_samples + 1)
     process = _Process(A, B)
     rows = [(ahead, np.eye(len(e)))] + [(time, target[None]) for time in asked]
-    data = [(time, target[None]) for time in seen]
+    data = [(time, target[None]) for time in times]
     mean, mean_seen = process.means(rows), process.means(data)
     covariance, cross = process.covariance(rows, rows), process.covariance(rows, data)
     given = process.covariance(data, data)

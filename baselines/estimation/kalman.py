@@ -87,8 +87,12 @@ def stationary(model: EstimatorModel) -> tuple[FloatArray, FloatArray]:
         not np.any(model.C[:, TABLE_DISPLACEMENT])
         and np.count_nonzero(model.A[:, TABLE_DISPLACEMENT]) == 1
     )
-    kept = np.delete(np.arange(model.order), TABLE_DISPLACEMENT if unseen else [])
-    A, C, Q = model.A[np.ix_(kept, kept)], model.C[:, kept], model.Q[np.ix_(kept, kept)]
+    observable = np.delete(np.arange(model.order), TABLE_DISPLACEMENT if unseen else [])
+    A, C, Q = (
+        model.A[np.ix_(observable, observable)],
+        model.C[:, observable],
+        model.Q[np.ix_(observable, observable)],
+    )
     try:
         P = solve_discrete_are(A.T, C.T, Q, np.diag(model.R))
     except (ValueError, np.linalg.LinAlgError) as error:  # scipy raises either
@@ -103,7 +107,7 @@ def stationary(model: EstimatorModel) -> tuple[FloatArray, FloatArray]:
     if not radius < 1.0 - 1e-7:
         raise NumericalError("filter's spectral radius", radius, _NO_SOLUTION)
     gain, before = np.zeros((model.order, len(C))), np.zeros((model.order, model.order))
-    gain[kept], before[np.ix_(kept, kept)] = L, P
+    gain[observable], before[np.ix_(observable, observable)] = L, P
     return gain, before
 
 

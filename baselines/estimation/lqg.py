@@ -100,9 +100,9 @@ class EstimatedState:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
         """Return the action (..., 1) for an observation (..., n), and ``(EstimateMemory,)``."""
-        seen = np.array(observation, dtype=float)  # parts of it are remembered
-        memory = self._present(seen, None if state is None else state[0], episode_start)
-        believed = self._look_ahead(seen, memory).astype(np.float32)
+        values = np.array(observation, dtype=float)  # parts of it are remembered
+        memory = self._present(values, None if state is None else state[0], episode_start)
+        believed = self._look_ahead(values, memory).astype(np.float32)
         action, inner = decide(self.law, believed, memory.inner, episode_start, deterministic)
         given = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
         actions = np.concatenate([memory.actions[..., 1:], given], axis=-1)
@@ -110,22 +110,22 @@ class EstimatedState:
 
     def _present(
         self,
-        seen: FloatArray,
+        observation: FloatArray,
         last: EstimateMemory | None,
         episode_start: NDArray[np.bool_] | None,
     ) -> EstimateMemory:
         """Return what is known at this instant, this observation included; actions as before it."""
-        model, lead, layout = self.estimator.model, seen.shape[:-1], self._layout
-        ground = seen[..., layout.ground]
+        model, lead, layout = self.estimator.model, observation.shape[:-1], self._layout
+        ground = observation[..., layout.ground]
         full = self._shown.sensing.full_state
-        readings = seen[..., layout.controlled if full else self._shown.readings]
+        readings = observation[..., layout.controlled if full else self._shown.readings]
         if last is None:
             table, reference = np.zeros((*lead, model.order)), np.zeros((*lead, 2 * layout.stories))
             actions, age, inner = np.zeros((*lead, model.commands + 1)), np.zeros(lead, np.intp), None
         else:
             actions, inner = last.actions, last.inner
             if self._shown.sensing.last_action:
-                shown = seen[..., self._shown.last_action]
+                shown = observation[..., self._shown.last_action]
                 actions = np.concatenate([actions[..., :-1], shown], axis=-1)
             table = self.estimator.predict(last.table, actions)
             reference = self.recursion.advance(last.reference, last.ground, ground)
@@ -138,13 +138,13 @@ class EstimatedState:
                 age = np.where(fresh, 0, age)
         table = self.estimator.correct(table, readings, age)
         if full:
-            reference = seen[..., layout.reference]
+            reference = observation[..., layout.reference]
         return EstimateMemory(table, actions, ground, reference, age, inner)
 
-    def _look_ahead(self, seen: FloatArray, memory: EstimateMemory) -> FloatArray:
+    def _look_ahead(self, observation: FloatArray, memory: EstimateMemory) -> FloatArray:
         """Return the full-state observation (..., m) of the instant at which this action acts."""
         model, w = self.estimator.model, self._layout.filter_states
-        preview = seen[..., self._shown.preview]
+        preview = observation[..., self._shown.preview]
         known = np.concatenate([memory.ground, memory.reference, preview], axis=-1)
         exogenous = known @ self.foresight.T
         under_way = np.concatenate([memory.table, memory.actions[..., 1:]], axis=-1)

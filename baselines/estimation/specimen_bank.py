@@ -111,16 +111,21 @@ def arriving_law(scenario: Scenario, position: float | None) -> FloatArray:
 
     A command given now acts from the delay d on. The law is that of the plant without delay, at the
     state in which it will be then: table and specimen under the last command; the ground filter by its
-    expectation given its state and the nearest previewed sample; the target straight between samples.
+    expectation given its state and the previewed samples up to the first behind d; the target straight
+    between samples. Of the preview, the samples that reach beyond d are used.
     """
     layout, discrete, shown = scenario.plant.layout, scenario.discrete, scenario.observation
     n, samples = layout.order, shown.preview_samples
-    spacing = shown.preview_spacing * scenario.physics_step
+    spacing = shown.preview_spacing * scenario.physics_step if samples else scenario.control_period
     d = scenario.delay * scenario.physics_step
-    longest = min(scenario.control_period, spacing if samples else np.inf)
-    if d > longest * (1.0 + 1e-9):
-        raise ScenarioError("delay", scenario.delay, f"must be at most {longest:.6g} s")
-    seen = samples if d == 0.0 else max(samples - 1, 0)
+    whole, share = divmod(round(d / spacing, 9), 1.0)
+    passed = int(whole)  # samples up to the delay's end
+    gone = passed + (share > 0.0)
+    if d > scenario.control_period * (1.0 + 1e-9):
+        raise ScenarioError("delay", scenario.delay, f"must be at most {scenario.substeps} steps")
+    if samples and gone > samples:
+        raise ScenarioError("preview", scenario.sensing.preview, "must reach over the loop delay")
+    seen = max(samples - gone, 0)
     design = preview_lqr(
         discrete, scenario.stage_cost, seen * spacing, spacing if samples else None, position
     )
@@ -135,29 +140,68 @@ def arriving_law(scenario: Scenario, position: float | None) -> FloatArray:
     )
     moved = zero_order_hold(table, d, scale[inside])
     predict[inside, inside], predict[inside, -1] = moved.A, moved.B[:, 0]
+    # The target now and at the coming samples, as rows over what is shown.
     w, reference = layout.ground, layout.reference
     source = ground_filter(scenario.ground)
-    predict[w, w] = expm(source.A * d)
-    first = np.zeros(n + samples + 1)  # y~ now, and at the first sample
-    first[w] = source.C[0]
-    second = np.zeros_like(first)
+    target = np.zeros((1 + max(samples, gone), n + samples + 1))
+    target[0, w] = source.C[0]
     if samples:
-        second[n] = 1.0
-        ahead = expm(source.A * (spacing - d))
-        row_y = source.C[0] @ ahead
-        spread = noise_covariance(source.A, source.B, d, scale[w]) @ row_y
-        whole = noise_covariance(source.A, source.B, spacing, scale[w])
-        surprise = second.copy()
-        surprise[w] -= row_y @ predict[w, w]
-        predict[w] += np.outer(spread / (source.C[0] @ whole @ source.C[0]), surprise)
+        target[1:, n:-1] = np.eye(samples)
     else:
-        second[w] = source.C[0] @ expm(source.A * longest)
-    share = d / (spacing if samples else longest)
-    then = (1.0 - share) * first + share * second
-    hold, start, end = specimen_filter(scenario.specimen, d)
-    predict[reference, reference] = hold
-    predict[reference] += np.outer(start, first) + np.outer(end, then)
+        target[1, w] = source.C[0] @ expm(source.A * spacing)
+    predict[w] = _expected_filter(source, scale[w], d, spacing, target, gone if samples else 0, w)
+    at_end = (1.0 - share) * target[passed] + share * target[gone]
+    predict[reference, reference] = np.eye(2 * layout.stories)
+    pieces = [(spacing, target[j], target[j + 1]) for j in range(passed)]
+    if share:
+        pieces.append((share * spacing, target[passed], at_end))
+    for length, first, last in pieces:
+        hold, start, end = specimen_filter(scenario.specimen, length)
+        predict[reference] = hold @ predict[reference] + np.outer(start, first) + np.outer(end, last)
     for j in range(seen):
-        predict[n + j, n + j], predict[n + j, n + j + 1] = 1.0 - share, share
+        predict[n + j] = (1.0 - share) * target[passed + j + 1] + share * target[gone + j + 1]
     arriving: FloatArray = row @ predict
     return arriving
+
+
+def _expected_filter(
+    source: StateSpace,
+    scale: FloatArray,
+    d: float,
+    spacing: float,
+    target: FloatArray,
+    samples: int,
+    ground: slice,
+) -> FloatArray:
+    """Return the ground filter's expected state after d seconds, (w, columns of `target`).
+
+    Parameters
+    ----------
+    source, scale
+        The filter and the sizes (w,) of its state.
+    target
+        (1 + samples or more, columns) target at multiples of `spacing`, as rows over what is shown.
+    samples
+        Of the coming target that the expectation is given.
+    ground
+        Where the filter's state lies in the columns.
+    """
+    w = len(scale)
+
+    def covariance(early: float, late: float) -> FloatArray:
+        """Return the noise's covariance of the state at two times, (w, w), the late one first."""
+        spread: FloatArray = expm(source.A * (late - early)) @ noise_covariance(
+            source.A, source.B, early, scale
+        )
+        return spread
+
+    expected = np.zeros((w, target.shape[1]))
+    expected[:, ground] = expm(source.A * d)
+    times, C = spacing * np.arange(1, samples + 1), source.C[0]
+    given = np.array([[C @ covariance(min(s, t), max(s, t)) @ C for s in times] for t in times])
+    cross = [covariance(d, t).T @ C if t > d else covariance(t, d) @ C for t in times]
+    if samples:
+        surprise = target[1 : samples + 1].copy()
+        surprise[:, ground] -= [C @ expm(source.A * t) for t in times]
+        expected += np.linalg.solve(given, np.array(cross)).T @ surprise
+    return expected

@@ -330,5 +330,5 @@ class PeriodModel:
             z * np.eye(len(F)) - F, np.broadcast_to(G[:, None], (len(z), len(G), 1))
         )
         row, direct = np.mean(self.Z_x[0], axis=0) * size, np.mean(self.Z_u[0])
-        found: NDArray[np.complex128] = inside[..., 0] @ row + direct
-        return found
+        response: NDArray[np.complex128] = inside[..., 0] @ row + direct
+        return response

@@ -95,10 +95,10 @@ class Iteration:
 
         The identification test counts: the specimen stood on the table.
         """
-        found = self.tests.damage
+        damage = self.tests.damage
         if self.identification is None:
-            return found
-        return found + self.identification.energy / self.tests.repeats[0].perfect_energy
+            return damage
+        return damage + self.identification.energy / self.tests.repeats[0].perfect_energy
 
 
 @dataclass(frozen=True)

@@ -183,18 +183,18 @@ def robust_feedback(
     plant = GeneralizedPlant.of(scenario, position)
 
     def bound(log_d: float) -> float:
-        found = plant.law(rho, float(np.exp(log_d)))
-        return np.inf if found is None else found[1]
+        design = plant.law(rho, float(np.exp(log_d)))
+        return np.inf if design is None else design[1]
 
     grid = np.log(np.geomspace(*SCALINGS, TRIALS))
     best = int(np.argmin([bound(x) for x in grid]))
     near = grid[max(best - 1, 0)], grid[min(best + 1, TRIALS - 1)]
     x = minimize_scalar(bound, bounds=near, method="bounded", options={"xatol": 1e-3}).x
     x = min((float(x), float(grid[best])), key=bound)
-    found = plant.law(rho, float(np.exp(x)))
-    if found is None:
+    design = plant.law(rho, float(np.exp(x)))
+    if design is None:
         raise NumericalError("guaranteed cost", np.inf, "no law holds for so uncertain a mass")
-    K, guaranteed = found
+    K, guaranteed = design
     gamma = plant.force_gain(K, rho)
     if not gamma < 1.0:
         raise NumericalError("H-infinity norm", gamma, "the measured gain is not below one")

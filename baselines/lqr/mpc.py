@@ -121,9 +121,9 @@ def feed_forward(scenario: Scenario, problem: TrackingProblem, periods: int) -> 
     for j in range(periods):
         # Draws before period j reach v_j through x_e, later ones directly.
         on_state[j] = row
-        seen = min(j, reach)
-        on_draws[j, :seen] = past[:j][::-1][:seen]
-        on_draws[j, seen:] = future[: reach - seen]
+        known = min(j, reach)
+        on_draws[j, :known] = past[:j][::-1][:known]
+        on_draws[j, known:] = future[: reach - known]
         past[j] = row @ problem.N
         row = row @ problem.A
     b = forecast.expectation(on_draws.reshape(periods, -1))
@@ -213,10 +213,10 @@ class PredictiveControl:
         begun = time.perf_counter()
         self._solver.update(l=self._low, u=self._high)
         self._solver.warm_start(x=x, y=y)
-        found = self._solver.solve(raise_error=False)
+        solution = self._solver.solve(raise_error=False)
         self._times.append(time.perf_counter() - begun)
-        self._unfinished += found.info.status != "solved"
-        return np.array(found.x), np.array(found.y)
+        self._unfinished += solution.info.status != "solved"
+        return np.array(solution.x), np.array(solution.y)
 
     def predict(
         self,

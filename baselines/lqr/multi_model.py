@@ -166,9 +166,9 @@ def multi_model_lqr(
         raise ParameterError("aim", aim, "must be 'mean' or 'worst'")
     problem = ModelSet.of(nominal, models, position)
     states = ModelSet.states(nominal, models, position)
-    kept = states.kept
-    scale = nominal.plant.state_scale[kept]
-    start = preview_lqr(nominal.discrete, nominal.stage_cost, 0.0, position=position).gain[kept]
+    retained = states.kept
+    scale = nominal.plant.state_scale[retained]
+    start = preview_lqr(nominal.discrete, nominal.stage_cost, 0.0, position=position).gain[retained]
     K = (start * scale / REFERENCE_CURRENT)[None, :]
     stable = problem.radii(K) < 1.0
     before = np.full(len(models), np.inf)
@@ -186,7 +186,7 @@ def multi_model_lqr(
     for sharpness in SHARPNESS if aim == "worst" else ():
         K = _descend(problem, K, 1.0, sharpness)
     gain = np.zeros(nominal.plant.layout.order)
-    gain[kept] = K[0] * REFERENCE_CURRENT / scale
+    gain[retained] = K[0] * REFERENCE_CURRENT / scale
     gain = states.completed(gain, np.ones(len(gain)))
     return MultiModelDesign(gain, problem.costs(K)[0], before)
 
@@ -225,11 +225,11 @@ def _descend(
             return cost, slope @ change
 
         options = {"gtol": 1e-7} | ({} if iterations is None else {"maxiter": iterations})
-        found = minimize(turned, np.zeros(K.shape[1]), jac=True, method="BFGS", options=options)
-        K = K + (change @ found.x)[None, :]
-        if iterations is not None or found.fun > (1.0 - 1e-9) * value:
+        minimum = minimize(turned, np.zeros(K.shape[1]), jac=True, method="BFGS", options=options)
+        K = K + (change @ minimum.x)[None, :]
+        if iterations is not None or minimum.fun > (1.0 - 1e-9) * value:
             break
-        value = found.fun
+        value = minimum.fun
     return K
 
 

@@ -97,7 +97,7 @@ def preview_lqr(
     preview
         [s] ``p = preview / spacing`` samples are seen; 0 gives `sampled_lqr`.
     spacing
-        [s] between samples, a whole number of physics steps; None: the control period.
+        [s] between samples, a whole number of physics steps; None: the physics step.
     position
         [m] error of the table's place that is worth a motionless table's stage cost; None: no error of
         place is worth anything, and the table drifts. The design's cost leaves this term out.
@@ -118,7 +118,7 @@ def preview_lqr(
         If an equation fails its check, or the cost of the law differs from that of its parts.
     """
     shown = Sensing(preview=preview, preview_spacing=spacing)
-    samples, stride = shown.preview_steps(discrete.substeps * discrete.dt, discrete.dt)
+    samples, stride = shown.preview_steps(discrete.dt)
     problem = TrackingProblem.of(discrete, cost, position)
     forecast = Forecast.of(problem, samples, stride)
     rows = problem.future_rows(forecast.periods)

@@ -145,14 +145,14 @@ class ScaledProblem:
         plant, lifted = discrete.plant, discrete.lifted
         n = plant.layout.order
         states = DesignStates.of(plant) if states is None else states
-        kept, scale = states.kept, plant.state_scale[states.kept]
+        retained, scale = states.kept, plant.state_scale[states.kept]
         state = states.rows(lifted.state)
         errors = lifted.outputs[:, [0, 1]] - lifted.outputs[:, [2, 3]]
         return cls(
-            F=state[:, kept] * scale / scale[:, None],
+            F=state[:, retained] * scale / scale[:, None],
             G=state[:, n : n + 1] * REFERENCE_CURRENT / scale[:, None],
             N=state[:, n + 1 :] / scale[:, None],
-            Z_x=errors[:, :, kept] * scale,
+            Z_x=errors[:, :, retained] * scale,
             Z_u=errors[:, :, n : n + 1] * REFERENCE_CURRENT,
             Z_d=errors[:, :, n + 1 :],
             states=states,

@@ -27,7 +27,7 @@ from baselines.planning.nmpc import Design, NMPCSettings, NonlinearPredictiveCon
 from shake_env.errors import ScenarioError
 from shake_env.model.parameters import FloatArray
 from shake_env.scenario.scenario import Scenario
-from shake_env.scenario.uncertainty import Uncertainty
+from shake_env.scenario.uncertainty import Uncertainty, Uniform
 
 # Parameters are over their nominal values.
 STEP = 0.01  # [-] between the models that slopes along a parameter are taken from
@@ -60,7 +60,7 @@ class UncertainParameters:
         drawn = {
             name: each
             for name, each in vars(scenario.uncertainty).items()
-            if each is not None and name != "delay"
+            if isinstance(each, Uniform) and name != "delay"
         }
         if not drawn:
             raise ScenarioError("uncertainty", "none", "no parameter is drawn: ask for nmpc")

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +29,7 @@ from shake_env.model.parameters import FloatArray
 from shake_env.rollout import Earthquake
 from shake_env.scenario.scenario import Scenario
 
+THREADS = 2  # earthquakes that are searched at a time where there are many; no lock is held meanwhile
 ITERATIONS = 80
 TOLERANCE = 1e-5  # [-] of the cost: two iterations that save less end the search
 PLACES = (0.01, 0.05)  # [m] what the starting laws weigh an error of place with; see `preview_lqr`
@@ -116,6 +118,7 @@ def optimal_episodes(
     plant: Scenario | None = None,
     signals: Callable[[Scenario, FloatArray], FloatArray] | None = None,
     iterations: int = ITERATIONS,
+    threads: int = 1,
     on_step: Callable[[float], None] = lambda share: None,
 ) -> list[OptimalEpisode]:
     """Return the optimum of each earthquake.
@@ -131,6 +134,8 @@ def optimal_episodes(
         `episodes`.
     iterations
         At most, of each start.
+    threads
+        Earthquakes that are searched at a time.
     on_step
         Told the share of the work done, 0 to 1.
 
@@ -145,11 +150,17 @@ def optimal_episodes(
     if starts is None:
         laws = starting_laws(scenario)
         starts = {name: driven(law, scenario, earthquakes)[0] for name, law in laws.items()}
+    given = starts
+
+    def search(i: int) -> OptimalEpisode:
+        own = {name: currents[i] for name, currents in given.items()}
+        return optimum(problems[i], own, iterations=iterations)
+
     found = []
-    for i, problem in enumerate(problems):
-        own = {name: currents[i] for name, currents in starts.items()}
-        found.append(optimum(problem, own, iterations=iterations))
-        on_step((i + 1) / len(problems))
+    with ThreadPoolExecutor(threads) as pool:
+        for each in pool.map(search, range(len(problems))):
+            found.append(each)
+            on_step(len(found) / len(problems))
     return found
 
 
@@ -170,9 +181,9 @@ def optimum(
                 iterations=most, tolerance=TOLERANCE,
             )  # fmt: skip
 
-        began = time.process_time()
+        began = time.thread_time()
         plan = improved(current, iterations)
-        seconds = time.process_time() - began
+        seconds = time.thread_time() - began
         feasible, cost = bool(plan.largest_ratio[0] <= 1.0), float(plan.cost[0]) / T
         first = float(improved(current, 0).cost[0]) / T
         results.append(Start(name, first, cost, feasible, int(plan.iterations[0]), seconds))

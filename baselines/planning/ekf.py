@@ -1,9 +1,9 @@
 """Extended Kalman filter: state of a nonlinear table, disturbances and offsets from its signals.
 
-The model is the exact nonlinear period with the loop delay; beside the state it estimates a force on the
-table and a flow through the valve that the model leaves out, the outputs of the sensors' low-passes, and
-their offsets. Sizes of noise and disturbances are those of `baselines.estimation.estimator_model`: on a
-linear table the two filters are one.
+The model is the exact nonlinear period with the loop delay. Beside the state, which the sensors'
+low-passes are part of, it estimates a force on the table and a flow through the valve that the model
+leaves out, and the sensors' offsets. Sizes of noise and disturbances are those of
+`baselines.estimation.estimator_model`: on a linear table the two filters are one.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from scipy.linalg import block_diag
 
 from baselines.estimation.estimator_model import DISTURBANCES, ROUNDING, EstimatorModel, ModelError
 from baselines.planning.model import PlanningModel, compiled
+from shake_env.dynamics.low_pass import first_low_pass
 from shake_env.dynamics.nonlinear import floor_rows
 from shake_env.model.parameters import FloatArray
-from shake_env.scenario.observation import STATE_SIGNALS
 from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.sensors import Measurement
 
@@ -50,7 +50,7 @@ class TableEstimate:
     """What the filter knows of N tables."""
 
     state: FloatArray  # (N, n) SI, the commands under way last
-    rest: FloatArray  # (N, a - m) outputs of low-passes, then offsets, over the readings' scale
+    rest: FloatArray  # (N, a - m) offsets, over the readings' scale
     covariance: FloatArray  # (N, a, a) of the m scaled states and `rest`
     innovation: FloatArray  # (N, s) of the last readings over their standard deviations
 
@@ -68,7 +68,7 @@ class ExtendedKalmanFilter:
     sensors: tuple[Any, ...]  # see filter_kernel.SensorArrays
     Q: FloatArray  # (a, a) what a period adds to the covariance
     start: FloatArray  # (a, a) covariance at an episode's start
-    keep: FloatArray  # (a - m) share of a low-pass's output or an offset that stays over a period
+    keep: FloatArray  # (a - m) share of an offset that stays over a period
     parameters: tuple[FloatArray, FloatArray, FloatArray]  # see filter_kernel.ParameterArrays
 
     @classmethod
@@ -84,18 +84,15 @@ class ExtendedKalmanFilter:
         """
         error = model_error(scenario) if error is None else error
         model, linear = PlanningModel.of(scenario, error), EstimatorModel.of(scenario, error)
-        shown = 4 + 2 * scenario.specimen.stories
+        shown, f = 4 + 2 * scenario.specimen.stories, len(scenario.observation.low_passes)
         sensors = _sensors(scenario, model)
-        follow, filtered, biased = sensors[2], sensors[3], sensors[4]
-        m, low_passes = model.order, int(np.sum(filtered >= 0))
+        m, first = model.order, first_low_pass(scenario.plant, scenario.parts)
         # Where the linear model's states lie in this one, which has slips and the spool's velocity too.
-        behind = m + np.arange(linear.order - shown - DISTURBANCES)
-        places = np.r_[:shown, m - DISTURBANCES : m, behind]
+        behind = m + np.arange(linear.order - shown - DISTURBANCES - f)
+        places = np.r_[:shown, m - DISTURBANCES : m, first : first + f, behind]
         Q, start = np.zeros((2, m + len(behind), m + len(behind)))
         Q[np.ix_(places, places)], start[np.ix_(places, places)] = linear.Q, linear.start
-        offsets = np.diag(linear.A)[shown + DISTURBANCES + low_passes :]
-        keep = np.concatenate([1.0 - follow[filtered >= 0], offsets])
-        assert (biased >= 0).sum() == len(offsets)
+        keep = np.diag(linear.A)[linear.order - len(behind) :].copy()
         return cls(model, sensors, Q, start, keep, (np.zeros(0), np.zeros(0), np.zeros(0)))
 
     def with_parameters(
@@ -128,7 +125,7 @@ class ExtendedKalmanFilter:
             np.zeros((lanes, self.model.states)),
             np.zeros((lanes, size - m)),
             np.repeat(self.start[None], lanes, axis=0),
-            np.zeros((lanes, len(self.sensors[2]))),
+            np.zeros((lanes, len(self.sensors[0]))),
         )
 
     def advance(
@@ -172,15 +169,16 @@ def _sensors(scenario: Scenario, model: PlanningModel) -> tuple[Any, ...]:
         s = 4 + 2 * scenario.specimen.stories
         none = np.full(s, -1)
         rounding = np.full(s, ROUNDING**2)
-        return np.eye(s, n), np.zeros((s, 2)), np.ones(s), none, none, rounding
+        return np.eye(s, n), np.zeros((s, 2)), none, rounding
     layout = scenario.observation
-    measurement = Measurement.of(layout, scenario.control_period)
+    measurement = Measurement.of(scenario)
     s, scale = layout.readings_count, measurement.scale
     rows, outputs = np.zeros((s, n)), np.zeros((s, 2))
     floors = floor_rows(scenario.plant, scenario.nonlinearity.yielding)
-    for r, name in enumerate(layout.reading_names):
-        if name in STATE_SIGNALS:
-            place = STATE_SIGNALS[name]
+    for r, (name, place) in enumerate(
+        zip(layout.reading_names, measurement.places.tolist(), strict=True)
+    ):
+        if place >= 0:
             rows[r, place] = model.scale[place] / scale[r]
         elif name in ("table_acceleration", "base_shear"):
             outputs[r, int(name == "base_shear")] = 1.0 / scale[r]
@@ -188,9 +186,6 @@ def _sensors(scenario: Scenario, model: PlanningModel) -> tuple[Any, ...]:
             floor = floors[int(name.rsplit("_", 1)[1]) - 1]
             rows[r, 4 : 4 + len(floor)] = floor * model.scale[4 : 4 + len(floor)] / scale[r]
     noise = layout.sensor_values("noise") ** 2 + layout.sensor_values("resolution") ** 2 / 12.0
-    passes, offset = measurement.follow < 1.0, layout.sensor_values("bias") > 0.0
-    filtered, biased = np.full(s, -1), np.full(s, -1)
-    filtered[passes] = m + np.arange(passes.sum())
-    biased[offset] = m + passes.sum() + np.arange(offset.sum())
-    variance = noise / scale**2 + ROUNDING**2
-    return rows, outputs, np.array(measurement.follow, dtype=float), filtered, biased, variance
+    offset, biased = layout.sensor_values("bias") > 0.0, np.full(s, -1)
+    biased[offset] = m + np.arange(offset.sum())
+    return rows, outputs, biased, noise / scale**2 + ROUNDING**2

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from baselines.planning.model import PlanningModel
 from shake_env.controller import Controller, NoControl
 from shake_env.model.parameters import FloatArray
 from shake_env.rollout import Earthquake, rollout, sampled_plants
+from shake_env.scenario.observation import Sensing
 from shake_env.scenario.scenario import Scenario
 
 
@@ -49,7 +50,8 @@ def episodes(
     plants = sampled_plants(scenario, earthquakes) if plant is None else [plant] * len(earthquakes)
     for i, (quake, own) in enumerate(zip(earthquakes, plants, strict=True)):
         # Without uncertainty every earthquake has the scenario itself for its plant.
-        model = models.get(id(own)) or PlanningModel.of(own)
+        # Without sensors, whose low-passes would be states that nothing feels.
+        model = models.get(id(own)) or PlanningModel.of(replace(own, sensing=Sensing()))
         models[id(own)] = model
         signals = recorded[i]
         target = signals.target_acceleration.reshape(-1, k)

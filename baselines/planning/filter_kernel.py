@@ -24,10 +24,9 @@ from baselines.planning.period_kernel import (
 from shake_env.kernels.lanes import COLUMNS, YIELD_DRIFT, IntArray, jit, nonlinear, slip_rates
 from shake_env.model.parameters import FloatArray
 
-# rows (s, n) of the signals on the scaled state; outputs (s, 2) on [y_A, f_s]; follow (s), share of its
-# way that a low-pass goes in a period; filtered (s) and biased (s), where an output of a low-pass or an
+# rows (s, n) of the signals on the scaled state; outputs (s, 2) on [y_A, f_s]; biased (s), where an
 # offset lies behind the state, -1 for none; variance (s)
-SensorArrays: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, IntArray, IntArray, FloatArray]
+SensorArrays: TypeAlias = tuple[FloatArray, FloatArray, IntArray, FloatArray]
 # Of p parameters: step (p) between the models that slopes are taken from, low (p) and high (p)
 ParameterArrays: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 
@@ -95,7 +94,7 @@ def predict(
     x
         (n) SI: the m estimated states, then the commands under way, which are known.
     rest
-        (a - m) outputs of low-passes and offsets, over the readings' scale, then p parameters.
+        (a - m) offsets, over the readings' scale, then p parameters.
     P
         (a, a) covariance of ``[x / scale, rest]``.
     u
@@ -103,12 +102,11 @@ def predict(
     anchor
         (p) parameters of the table's model.
     Q, keep
-        (a, a) what a period adds to P; (a - m) share of each of `rest` that stays (a low-pass's: of it).
+        (a, a) what a period adds to P; (a - m) share of each of `rest` that stays.
     """
     model, p = table_model(models, first), len(anchor)
     n, size = len(scale), len(P)
     order, substeps = model[0].shape[0], model[6].shape[0]
-    rows, outputs, follow, filtered = sensors[0], sensors[1], sensors[2], sensors[3]
     tape = make_tape(model)
     moved, response = np.zeros(n), np.zeros(2 * substeps)
     A, B = np.zeros((n, n)), np.zeros(n)
@@ -119,7 +117,7 @@ def predict(
     for i in range(order):
         for c in range(order):
             F[i, c] = A[i, c]
-    along, along_y = np.zeros((p, n)), np.zeros((p, 2 * substeps))
+    along = np.zeros((p, n))
     for j in range(p):
         for sign in (1.0, -1.0):
             other = table_model(models, first + 2 * j + (1 if sign > 0.0 else 2))
@@ -128,38 +126,14 @@ def predict(
             weight = sign / (2.0 * parameters[0][j])
             for i in range(order):
                 along[j, i] += weight * moved_j[i]
-            for i in range(2 * substeps):
-                along_y[j, i] += weight * response_j[i]
     for j in range(p):
         away = rest[size - order - p + j] - anchor[j]
         for i in range(order):
             F[i, size - p + j] = along[j, i] / scale[i]
             moved[i] += away * along[j, i]
-        for i in range(2 * substeps):
-            response[i] += away * along_y[j, i]
     for i in range(order, size):
         F[i, i] = keep[i - order]
         rest[i - order] *= keep[i - order]
-    for r in range(len(follow)):
-        at = filtered[r]
-        if at >= 0:
-            signal = 0.0
-            for i in range(order):
-                signal += rows[r, i] * moved[i] / scale[i]
-                if rows[r, i] != 0.0:
-                    for c in range(order):
-                        F[at, c] += follow[r] * rows[r, i] * A[i, c]
-            for o in range(2):
-                last = (o + 1) * substeps - 1
-                signal += outputs[r, o] * response[last]
-                for c in range(order):
-                    F[at, c] += follow[r] * outputs[r, o] * C[last, c]
-                for j in range(p):
-                    F[at, size - p + j] += follow[r] * outputs[r, o] * along_y[j, last]
-            for j in range(p):
-                for i in range(order):
-                    F[at, size - p + j] += follow[r] * rows[r, i] * along[j, i] / scale[i]
-            rest[at - order] += follow[r] * signal
     for i in range(n):
         x[i] = moved[i]
     FP = np.zeros((size, size))
@@ -197,7 +171,7 @@ def correct(
     `innovation` (s) is written: what each reading was off by over its standard deviation, given those
     before it, so that they are independent and of unit size where the model is right.
     """
-    filtered, biased, variance = sensors[3], sensors[4], sensors[5]
+    biased, variance = sensors[2], sensors[3]
     model, p = table_model(models, first), len(anchor)
     order, size, s = model[0].shape[0], len(P), len(readings)
     value, slope = np.zeros(s), np.zeros((s, order))
@@ -217,14 +191,10 @@ def correct(
         for i in range(size):
             row[i] = 0.0
         expected = value[r]
-        if filtered[r] >= 0:
-            row[filtered[r]] = 1.0
-            expected = rest[filtered[r] - order]
-        else:
-            for i in range(order):
-                row[i] = slope[r, i]
-            for j in range(p):
-                row[size - p + j] = along[j, r]
+        for i in range(order):
+            row[i] = slope[r, i]
+        for j in range(p):
+            row[size - p + j] = along[j, r]
         if biased[r] >= 0:
             row[biased[r]] = 1.0
             expected += rest[biased[r] - order]

@@ -108,7 +108,7 @@ def _tail(
     z_x = weighed(cost, C.reshape(2, k, n).swapaxes(0, 1))
     z_u = weighed(cost, D.reshape(2, k, 1).swapaxes(0, 1))
     r_e, r_d = weighed(cost, problem.C), weighed(cost, problem.D)
-    kept = np.arange(n)
+    retained = np.arange(n)
     if position is not None:
         row = np.zeros((1, n))
         row[0, TABLE_DISPLACEMENT] = table.scale[TABLE_DISPLACEMENT] / position
@@ -118,8 +118,8 @@ def _tail(
         z_x, z_u = np.vstack([z_x, row @ F]), np.vstack([z_u, row @ G])
         r_e, r_d = np.vstack([r_e, ground @ problem.A]), np.vstack([r_d, ground @ problem.N])
     elif plant.layout.table_displacement not in observable_states(plant):
-        kept = np.delete(kept, TABLE_DISPLACEMENT)
-    F, G, z_x = F[np.ix_(kept, kept)], G[kept], z_x[:, kept]
+        retained = np.delete(retained, TABLE_DISPLACEMENT)
+    F, G, z_x = F[np.ix_(retained, retained)], G[retained], z_x[:, retained]
     stage = z_u.T @ z_u + cost.current * REFERENCE_CURRENT**2
     P, K = riccati(F, G, z_x.T @ z_x, stage, z_x.T @ z_u)
     closed = F - G @ K
@@ -127,7 +127,7 @@ def _tail(
     H = dlyap(closed.T, Psi @ r_e, problem.A)
     Gamma = Psi @ r_d + closed.T @ H @ problem.N
     # The linear state from the nonlinear one: a slip shifts what a storey's spring feels.
-    M = _linear_state(scenario, model, table)[kept]
+    M = _linear_state(scenario, model, table)[retained]
     size = len(problem.A)
     whole = np.zeros((model.states, model.states))
     # Of the closed loop only products with Gamma are asked for: kept in the linear coordinates by M.

@@ -314,9 +314,9 @@ def improve(
             roll_out(X_new, U_new, Y_new, X, U, step, gain, alpha, limit, model, tape, scale)
             cost_new, worst_new = objective(X_new, Y_new, U_new, plan, scale)
             # A comparison with NaN, of a plan that diverged, is False.
-            kept, kept_new = worst <= 1.0 - MARGIN, worst_new <= 1.0 - MARGIN
-            if (kept_new and not kept and cost_new == cost_new) or (
-                kept_new == kept and cost_new <= cost + ROUNDING * abs(cost)
+            within, kept_new = worst <= 1.0 - MARGIN, worst_new <= 1.0 - MARGIN
+            if (kept_new and not within and cost_new == cost_new) or (
+                kept_new == within and cost_new <= cost + ROUNDING * abs(cost)
             ):
                 taken, saved = alpha, cost - cost_new
                 cost, worst = cost_new, worst_new
@@ -358,7 +358,7 @@ def _cached(number: int) -> Any:
         alphas: FloatArray,
         iterations: int,
         tolerance: float,
-        found: FloatArray,
+        results: FloatArray,
     ) -> int:
         target, shear, place, p = signals
         weights, rows, group, bounds, P = common
@@ -369,7 +369,7 @@ def _cached(number: int) -> Any:
             cost, worst, done = improve(
                 X[n], Y[n], U[n], gain[n], model, scale, plan, alphas, iterations, tolerance
             )
-            found[n, 0], found[n, 1], found[n, 2] = cost, worst, done
+            results[n, 0], results[n, 1], results[n, 2] = cost, worst, done
         return number
 
     return least_costs

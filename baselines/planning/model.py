@@ -64,7 +64,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class PlanningModel:
-    """One table: ``[x_A, x_S]``, slips, the spool's velocity, disturbances, then the commands under way.
+    """One table: ``[x_A, x_S]``, slips, low-passes, the spool's velocity, disturbances, then commands.
 
     With disturbances, a force on the table and a flow through the valve that the model leaves out
     follow the state, each a first-order Gauss-Markov process (`ModelError`).
@@ -90,9 +90,14 @@ class PlanningModel:
         """
         parts, plant = scenario.parts, scenario.plant
         dynamics = NonlinearDynamics.of(
-            plant, parts, scenario.physics_step, scenario.substeps, delay=scenario.delay
+            plant,
+            parts,
+            scenario.physics_step,
+            scenario.substeps,
+            delay=scenario.delay,
+            low_passes=scenario.observation.low_passes,
         )
-        scale = controlled_scale(plant, parts)
+        scale = controlled_scale(plant, parts, scenario.observation.low_passes)
         advance, slope, C, D = dynamics.advance, dynamics.slope, dynamics.C, dynamics.D
         order = len(advance)
         if error is not None:
@@ -206,7 +211,9 @@ def disturbed(scenario: Scenario, error: ModelError) -> tuple[StateSpace, FloatA
     Both are in units of what the state's scale says, as in `baselines.estimation.estimator_model`.
     """
     plant, parts = scenario.plant, scenario.parts
-    base, scale = controlled_plant(plant, parts), controlled_scale(plant, parts)
+    low_passes = scenario.observation.low_passes
+    base = controlled_plant(plant, parts, low_passes)
+    scale = controlled_scale(plant, parts, low_passes)
     n = base.order
     sizes = np.array([scale[LOAD_PRESSURE] * plant.actuator.piston_area, scale[SPOOL_POSITION]])
     enters = [1 + FORCE, 1 + FLOW]

@@ -249,22 +249,22 @@ class NonlinearPredictiveControl:
         """Return what is remembered of the reference, and x~_S (N, 2 stories) over its scale."""
         n, sensing = self._scenario.specimen.stories, self._scenario.sensing
         scale = self._scenario.plant.state_scale[self._layout.reference]
-        seen = shown[:, self._layout.reference] if sensing.full_state else None
+        reference = shown[:, self._layout.reference] if sensing.full_state else None
         if self._yielding is None:
-            if seen is None:
+            if reference is None:
                 design = self._design(tables)
                 moved = apply(design.follow, last.reference) + apply(design.before, last.ground)
                 moved = moved + apply(design.now, ground)
-                seen = np.where(fresh[:, None], 0.0, moved)
-            return seen, seen
+                reference = np.where(fresh[:, None], 0.0, moved)
+            return reference, reference
         state = last.reference.copy()
         target = np.ascontiguousarray(last.target)
         compiled("filter_kernel").follow_targets(
             state, target, self._yielding, self.model.arrays[7], np.zeros_like(target[:, 1:])
         )
         state[fresh] = 0.0
-        if seen is not None:
-            state[:, : 2 * n] = seen * scale
+        if reference is not None:
+            state[:, : 2 * n] = reference * scale
         return state, state[:, : 2 * n] / scale
 
     def _yielding_reference(

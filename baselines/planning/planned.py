@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.planning.bound import OptimalEpisode, optimal_episodes
+from baselines.planning.bound import THREADS, OptimalEpisode, optimal_episodes
 from baselines.planning.ekf import ExtendedKalmanFilter, TableEstimate, model_error
+from shake_env.dynamics.low_pass import first_low_pass
 from shake_env.dynamics.yielding_reference import YieldingReference
 from shake_env.errors import FileError, ParameterError
 from shake_env.files import write_bytes
@@ -95,7 +96,7 @@ def plan_records(
     own = nominal(scenario)
     found = []
     optima: list[OptimalEpisode] = optimal_episodes(
-        scenario, earthquakes, plant=own, signals=nominal_reference, on_step=on_step
+        scenario, earthquakes, plant=own, signals=nominal_reference, threads=THREADS, on_step=on_step
     )
     for quake, optimum in zip(earthquakes, optima, strict=True):
         if not math.isfinite(optimum.cost):
@@ -162,9 +163,12 @@ class PlannedControl:
             nominal(scenario), model_error(scenario, model_error_scale)
         )
         model = self.filter.model
-        # Where a plan's states, which hold no disturbances, lie in the filter's.
-        free = model.order - model.disturbances
-        self._places = np.r_[:free, model.order : model.states]
+        # Where a plan's states, which hold no disturbances and low-passes, lie in the filter's.
+        low_passes = first_low_pass(scenario.plant, scenario.parts) + np.arange(
+            len(scenario.observation.low_passes)
+        )
+        disturbances = np.arange(model.order - model.disturbances, model.order)
+        self._places = np.setdiff1d(np.arange(model.states), np.r_[low_passes, disturbances])
         self._length = np.array([len(plan.current) for plan in plans])
         longest = int(self._length.max())
         n = len(self._places)

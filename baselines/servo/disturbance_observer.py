@@ -108,8 +108,8 @@ class DisturbanceObserver:
 
     def compensation(self, state: Memory) -> FloatArray:
         """Return the current (...) [A] that makes up for the disturbance: its negative."""
-        found: FloatArray = state[0][..., self._reader.memory_size + 1]
-        return found
+        estimate: FloatArray = state[0][..., self._reader.memory_size + 1]
+        return estimate
 
     def predict(
         self,
@@ -135,5 +135,5 @@ class DisturbanceObserver:
         asked, inner = decide(self.controller, observation, inner, episode_start, deterministic)
         action = np.clip(asked[..., 0] + second / self._limit, -1.0, 1.0)
         past = np.concatenate([self._limit * action[..., None], past[..., :-1]], axis=-1)
-        kept = np.concatenate([read, first[..., None], second[..., None], past], axis=-1)
-        return action[..., None].astype(np.float32), (np.nan_to_num(kept), inner)
+        next_memory = np.concatenate([read, first[..., None], second[..., None], past], axis=-1)
+        return action[..., None].astype(np.float32), (np.nan_to_num(next_memory), inner)

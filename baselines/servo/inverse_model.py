@@ -8,7 +8,7 @@ stage cost weights them under the ground filter's spectrum, which also keeps the
 the table responds little.
 
 The taps act on what is really seen: velocities of the past, and velocities to come by trapezoids of
-previewed accelerations. The target is rough (white noise is its slope), so that what lies above the
+all previewed accelerations. The target is rough (white noise is its slope), so that what lies above the
 Nyquist frequency folds into all of these, and not alike. The least squares therefore extends over
 several Nyquist bands: without it the taps set signals against each other whose folded parts do not
 cancel, and ring the lightly damped oil column.
@@ -73,29 +73,41 @@ class InverseLaw:
 
     taps: FloatArray  # (past + 1 + preview,) [A s/m], oldest velocity first
     acceleration_tap: float  # h_a [A s^2/m]
-    preview: int
+    preview: int  # control periods to come
+    samples: int  # of the target that a control period's preview shows
     feedback: FloatArray  # (8,) of the signals
     tracking: ComplexArray  # (frequencies,) y_A / y~ of the nominal table that it leaves
     frequency: FloatArray  # (frequencies,) [Hz]; those of the first band, then the folded ones
     spacing: FloatArray  # (frequencies,) [Hz] that each stands for
 
 
-def previewed_periods(scenario: Scenario, asked: int | None) -> int:
-    """Return how many coming control periods a controller of `scenario` may use.
+def previewed_periods(scenario: Scenario, asked: int | None) -> tuple[int, int]:
+    """Return how many coming control periods a controller may use, and the samples a period shows.
+
+    Parameters
+    ----------
+    scenario
+        Whose preview is read.
+    asked
+        Number of periods; None: all that are previewed.
 
     Raises
     ------
     ScenarioError
-        If fewer are previewed than were asked for, or their spacing is not the control period.
+        If fewer are previewed than were asked for, or the control period is no whole number of the
+        preview's spacings.
     """
     layout = scenario.observation
-    if layout.preview_samples and layout.preview_spacing != scenario.substeps:
+    if layout.preview_samples and scenario.substeps % layout.preview_spacing:
+        spacing = layout.preview_spacing * scenario.physics_step
         raise ScenarioError(
-            "preview_spacing", scenario.sensing.preview_spacing, "must be the control period"
+            "preview_spacing", spacing, f"must divide the control period of {scenario.control_period} s"
         )
-    if asked is not None and asked > layout.preview_samples:
-        raise ScenarioError("preview", asked, f"the scenario shows {layout.preview_samples} periods")
-    return layout.preview_samples if asked is None else asked
+    samples = scenario.substeps // layout.preview_spacing
+    periods = layout.preview_samples // samples
+    if asked is not None and asked > periods:
+        raise ScenarioError("preview", asked, f"the scenario shows {periods} periods")
+    return (periods if asked is None else asked), samples
 
 
 def folded_frequencies(rate: float) -> tuple[FloatArray, FloatArray]:
@@ -120,7 +132,7 @@ def inverse_law(scenario: Scenario, design: InverseDesign) -> InverseLaw:
         If the feedback's loop is not stable.
     """
     table, period = NominalTable.of(scenario), scenario.control_period
-    preview = previewed_periods(scenario, design.preview)
+    preview, samples = previewed_periods(scenario, design.preview)
     frequency, spacing = folded_frequencies(scenario.control_rate)
     omega = 2.0 * math.pi * frequency
     s = 1j * omega
@@ -137,8 +149,11 @@ def inverse_law(scenario: Scenario, design: InverseDesign) -> InverseLaw:
     acceleration = response[:, ACCELERATION] * closed
     # Per target acceleration: what the past shows, the velocities to come by trapezoids, itself.
     known = z[:, None] ** np.arange(-design.past, 1)
-    steps = 0.5 * period * (s * (1.0 + z))[:, None] * z[:, None] ** np.arange(preview)
-    basis = np.concatenate([known, 1.0 + np.cumsum(steps, axis=1), s[:, None]], axis=1) / s[:, None]
+    sample = period / samples
+    shift = np.exp(s * sample)[:, None] ** np.arange(preview * samples)
+    steps = 0.5 * sample * (s * (1.0 + np.exp(s * sample)))[:, None] * shift
+    future = 1.0 + np.cumsum(steps, axis=1)[:, samples - 1 :: samples]
+    basis = np.concatenate([known, future, s[:, None]], axis=1) / s[:, None]
     in_band = frequency <= 0.5 * scenario.control_rate
     wanted = np.where(in_band, 1.0 / (1.0 + (frequency / design.cutoff) ** 8), 0.0)
     # An error of acceleration is G_S times as much of base shear, at the frequency it folds into.
@@ -160,6 +175,7 @@ def inverse_law(scenario: Scenario, design: InverseDesign) -> InverseLaw:
         taps=solution[:-1],
         acceleration_tap=float(solution[-1]),
         preview=preview,
+        samples=samples,
         feedback=feedback,
         tracking=acceleration * (basis @ solution + from_target),
         frequency=frequency,
@@ -183,9 +199,10 @@ class InverseFeedForward:
         fed_back = bool(self.law.feedback.any())
         needs = ("table_displacement", "table_velocity", "table_acceleration") if fed_back else ()
         self._reader = SignalReader(scenario, needs)
-        self._limit, self._period = scenario.current_limit, scenario.control_period
+        self._limit = scenario.current_limit
+        self._sample = scenario.control_period / self.law.samples
         first = scenario.observation.preview.start
-        self._preview = slice(first, first + self.law.preview)
+        self._preview = slice(first, first + self.law.preview * self.law.samples)
         self._preview_scale = math.sqrt(scenario.plant.target_variance)
         self._past = len(self.law.taps) - 1 - self.law.preview
 
@@ -203,8 +220,9 @@ class InverseFeedForward:
         now = signals[..., TARGET_VELOCITY : TARGET_VELOCITY + 1]
         acceleration = signals[..., TARGET_ACCELERATION : TARGET_ACCELERATION + 1]
         coming = observation[..., self._preview].astype(np.float64) * self._preview_scale
-        before = np.concatenate([acceleration, coming[..., :-1]], axis=-1)[..., : self.law.preview]
-        future = now + 0.5 * self._period * np.cumsum(coming + before, axis=-1)
+        before = np.concatenate([acceleration, coming[..., :-1]], axis=-1)[..., : coming.shape[-1]]
+        steps = np.cumsum(0.5 * self._sample * (coming + before), axis=-1)
+        future = now + steps[..., self.law.samples - 1 :: self.law.samples]
         known = np.concatenate([memory[..., own:], now], axis=-1)
         current = np.concatenate([known, future], axis=-1) @ self.law.taps
         current = (

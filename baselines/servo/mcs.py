@@ -92,18 +92,20 @@ class MCS:
     """
 
     def __init__(self, scenario: Scenario, design: MCSDesign | None = None) -> None:
-        self.design = found = design or MCSDesign()
-        self._inner = tvc_law(scenario, found.inner).D
+        self.design = values = design or MCSDesign()
+        self._inner = tvc_law(scenario, values.inner).D
         self._reader = SignalReader(scenario, NEEDS)
         self._limit, self._period = scenario.current_limit, scenario.control_period
-        self._omega = 2.0 * math.pi * found.bandwidth
-        self._unit = self._omega / (2.0 * found.damping_ratio * scenario.actuator.velocity_gain)  # [A/m]
+        self._omega = 2.0 * math.pi * values.bandwidth
+        self._unit = self._omega / (
+            2.0 * values.damping_ratio * scenario.actuator.velocity_gain
+        )  # [A/m]
 
     def gains(self, state: Memory) -> FloatArray:
         """Return the integral gains (..., 4) out of the memory, in the design's unit."""
         first = self._reader.memory_size
-        found: FloatArray = state[0][..., first : first + GAINS]
-        return found
+        adapted: FloatArray = state[0][..., first : first + GAINS]
+        return adapted
 
     def predict(
         self,
@@ -139,5 +141,5 @@ class MCS:
         step = d.alpha * drive * free[..., None] - d.leakage * change
         change = np.clip(change + self._period * step, -d.bound, d.bound)
         integral = integral + self._period * error * free
-        kept = np.concatenate([read, change, integral[..., None]], axis=-1)
-        return as_action(current, self._limit), (np.nan_to_num(kept),)
+        next_memory = np.concatenate([read, change, integral[..., None]], axis=-1)
+        return as_action(current, self._limit), (np.nan_to_num(next_memory),)

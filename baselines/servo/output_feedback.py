@@ -51,9 +51,9 @@ class NominalTable:
     @classmethod
     def of(cls, scenario: Scenario, discrete: DiscretePlant | None = None) -> NominalTable:
         """Return the table of a scenario; `discrete` puts another plant in its place."""
-        found = scenario.discrete if discrete is None else discrete
-        inner, k = found.layout.controlled, found.substeps
-        A, B = found.model.A[inner, inner], found.model.B[inner, 0]
+        plant = scenario.discrete if discrete is None else discrete
+        inner, k = plant.layout.controlled, plant.substeps
+        A, B = plant.model.A[inner, inner], plant.model.B[inner, 0]
         commands = commands_under_way(scenario.delay, k)
         picks = arrival(scenario.delay, k, commands)
         n = len(A)
@@ -69,7 +69,7 @@ class NominalTable:
         C = np.zeros((6, n + commands))
         for row_index, state in enumerate((TABLE_DISPLACEMENT, TABLE_VELOCITY)):
             C[row_index, state] = 1.0
-        C[2, :n], C[BASE_SHEAR, :n] = found.plant.driven.C[:2, :n]
+        C[2, :n], C[BASE_SHEAR, :n] = plant.plant.driven.C[:2, :n]
         C[3, LOAD_PRESSURE] = C[4, SPOOL_POSITION] = 1.0
         return cls(F, G, C, scenario.control_period)
 
@@ -78,8 +78,8 @@ class NominalTable:
         z = np.exp(2j * np.pi * frequency * self.period)
         m = len(self.G)
         states = np.linalg.solve(z[:, None, None] * np.eye(m) - self.F, self.G[:, None] + 0j)
-        found: ComplexArray = (self.C @ states)[..., 0]
-        return found
+        gain: ComplexArray = (self.C @ states)[..., 0]
+        return gain
 
 
 @dataclass(frozen=True)
@@ -153,8 +153,8 @@ class SampledClosedLoop:
         size = len(self.F)
         z = np.exp(s * self.table.period)
         states = np.linalg.solve(z[:, None, None] * np.eye(size) - self.F, drive[..., None])[..., 0]
-        found: ComplexArray = states[:, : len(self.table.G)] @ self.table.C[2]
-        return found
+        gain: ComplexArray = states[:, : len(self.table.G)] @ self.table.C[2]
+        return gain
 
 
 class OutputFeedback:

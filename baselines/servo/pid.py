@@ -172,13 +172,13 @@ class PIDRule:
 
 def pid(scenario: Scenario, gains: PIDGains | None = None) -> OutputFeedback:
     """Return a displacement PID; without `gains` by the 1 Hz bandwidth rule."""
-    found = PIDRule(bandwidth=1.0).gains(scenario) if gains is None else gains
+    values = PIDRule(bandwidth=1.0).gains(scenario) if gains is None else gains
     needs: tuple[str, ...] = ("table_displacement",)
-    if found.derivative_time > 0.0:
+    if values.derivative_time > 0.0:
         needs += ("table_velocity",)
-    if found.pressure:
+    if values.pressure:
         needs += ("load_pressure",)
-    return OutputFeedback(scenario, pid_law(found, scenario.control_period), needs)
+    return OutputFeedback(scenario, pid_law(values, scenario.control_period), needs)
 
 
 def acceleration_response(scenario: Scenario, gains: PIDGains, frequency: FloatArray) -> FloatArray:

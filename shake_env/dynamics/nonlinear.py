@@ -12,6 +12,7 @@ variable ``SHAKE_ENV_COMPILED=0``, or :data:`numba_support.COMPILED` set to Fals
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,7 @@ import numpy as np
 
 from shake_env import numba_support
 from shake_env.dynamics.linear import PeriodResponse, as_like
+from shake_env.dynamics.low_pass import LowPass, first_low_pass, with_low_passes
 from shake_env.errors import ScenarioError
 from shake_env.model.discretization import first_order_hold
 from shake_env.model.nonlinearity import Nonlinearity, Yielding
@@ -81,12 +83,14 @@ def floor_rows(plant: CoupledPlant, yielding: Yielding) -> FloatArray:
     return rows if yielding.active else rows[..., : 2 * n]
 
 
-def controlled_plant(plant: CoupledPlant, parts: Nonlinearity) -> StateSpace:
+def controlled_plant(
+    plant: CoupledPlant, parts: Nonlinearity, low_passes: Sequence[LowPass] = ()
+) -> StateSpace:
     """Return the continuous linear part of the table with inputs for its nonlinear parts.
 
-    States ``[x_A, x_S]``, then ``s`` (stories) if storeys yield, then ``x_v'`` if the valve is of second
-    order. Inputs ``[u, flow, force, spool rate]`` [A, m, N, m/s], then ``s'`` (stories) [m/s]. Outputs
-    ``[y_A, f_s]``, whose D holds the force's part in y_A.
+    States ``[x_A, x_S]``, then ``s`` (stories) if storeys yield, then the outputs of low-passes, then
+    ``x_v'`` if the valve is of second order. Inputs ``[u, flow, force, spool rate]`` [A, m, N, m/s],
+    then ``s'`` (stories) [m/s]. Outputs ``[y_A, f_s]``, whose D holds the force's part in y_A.
 
     Raises
     ------
@@ -130,14 +134,22 @@ def controlled_plant(plant: CoupledPlant, parts: Nonlinearity) -> StateSpace:
         A[..., -1, SPOOL_POSITION] = -(omega**2)
         A[..., -1, -1] = -2.0 * parts.valve.damping_ratio * omega
         B[..., -1, 0] = omega**2 * actuator.valve_gain
-    return StateSpace(A, B, C, D)
+    table = StateSpace(A, B, C, D)
+    if not low_passes:
+        return table
+    floors = floor_rows(plant, parts.yielding)
+    return with_low_passes(table, low_passes, first_low_pass(plant, parts), floors)
 
 
-def controlled_scale(plant: CoupledPlant, parts: Nonlinearity) -> FloatArray:
+def controlled_scale(
+    plant: CoupledPlant, parts: Nonlinearity, low_passes: Sequence[LowPass] = ()
+) -> FloatArray:
     """Return the size of each state of :func:`controlled_plant`, for the arithmetic only."""
     scale = plant.state_scale[..., plant.layout.controlled]
     n = plant.specimen.stories
     extra = [scale[..., 4 : 4 + n]] if parts.yielding.active else []
+    sizes = np.array([low_pass.scale for low_pass in low_passes])
+    extra.append(np.broadcast_to(sizes, (*scale.shape[:-1], len(sizes))))
     if parts.valve.natural_frequency is not None:
         extra.append(scale[..., [SPOOL_POSITION]] * 2.0 * math.pi * parts.valve.natural_frequency)
     return np.concatenate([scale, *extra], axis=-1)
@@ -178,14 +190,17 @@ class NonlinearDynamics:
         *,
         delay: float = 0.0,
         longest_delay: float = 0.0,
+        low_passes: Sequence[LowPass] = (),
     ) -> NonlinearDynamics:
         """Discretise a plant with nonlinear parts and a loop delay of `delay` physics steps.
+
+        The outputs of `low_passes` are states, from `first_low_pass` on.
 
         Plants that are to be stacked share a `longest_delay`, so that as many commands are kept. From a
         stacked plant every matrix comes out one a plant; friction and delay are common to them.
         """
-        continuous = controlled_plant(plant, parts)
-        model, slope = first_order_hold(continuous, dt, controlled_scale(plant, parts))
+        continuous = controlled_plant(plant, parts, low_passes)
+        model, slope = first_order_hold(continuous, dt, controlled_scale(plant, parts, low_passes))
         level = model.B + slope  # zero-order hold is the sum of the first-order hold's two weights
         first_order = parts.valve.natural_frequency is None
         at, batch = SPOOL_POSITION, continuous.A.shape[:-2]

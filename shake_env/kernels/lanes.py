@@ -327,7 +327,7 @@ def follow(
     x: FloatArray,
     y: FloatArray,
     later: FloatArray,
-    seen: FloatArray,
+    sampled: FloatArray,
     arriving: FloatArray,
     transition: FloatArray,
     change: FloatArray,
@@ -365,11 +365,11 @@ def follow(
             current[n] = arriving[min(j, substeps - 1), n]
         nonlinear(x, current, v, s, friction, rate, g, w)
         if j > 0:
-            fill(seen, 0.0, w)
-            add_product(outputs, x, seen, w)
+            fill(sampled, 0.0, w)
+            add_product(outputs, x, sampled, w)
             for n in range(w):
-                response[j - 1, n] = seen[0, n]
-                response[substeps + j - 1, n] = seen[1, n]
+                response[j - 1, n] = sampled[0, n]
+                response[substeps + j - 1, n] = sampled[1, n]
         if j == substeps:
             break
         fill(y, 0.0, w)

@@ -34,11 +34,10 @@ FIELDS = (
     "weights",  # (3) of the stage cost
     "coulomb",  # [N]
     "spool_rate",  # (2) see NonlinearDynamics
-    "state",  # of the plant, then commands under way
+    "state",  # of the plant, the sensors' low-passes in it, then commands under way
     "current",  # [A] of this period; behind the state, as products take both
     "response",  # (2 k) accelerations of the table, then base shears
     "floors",  # accelerations [m/s^2]
-    "filtered",  # outputs of the sensors' low-passes
     "bias",  # offsets of this episode
     "noise",  # standard normal numbers of the readings
     "reading",  # over its scale
@@ -61,7 +60,7 @@ SCALARS = (
     "pressure_limit", "acceleration_limit", "command_limit", "floor_limit", "observation_bound",
 )  # fmt: skip
 VECTORS = (
-    "bounds", "inverse_scales", "follow", "resolution", "rounded", "reading_scale", "rms", "offset",
+    "bounds", "inverse_scales", "resolution", "rounded", "reading_scale", "rms", "offset",
 )  # fmt: skip
 # Room to work in, rows of a block each.
 ROOM = ("x", "y", "later", "outputs", "arriving", "samples", "look")

@@ -48,7 +48,7 @@ def _follow(code: Code, record: Any, matrices: Any, room: Any) -> None:
     commands, columns = code.whole("commands"), code.whole("columns")
     state, response = block.rows("state"), block.rows("response")
     x, y, later = block.space("x"), block.space("y"), block.space("later")
-    arriving, seen = block.space("arriving"), block.space("outputs")
+    arriving, sampled = block.space("arriving"), block.space("outputs")
     current, g = x.at(order), x.at(b.add(order, whole(1)))
     tall = b.add(order, b.add(columns, whole(1)))
     # The commands under way lie before the present one.
@@ -74,8 +74,8 @@ def _follow(code: Code, record: Any, matrices: Any, room: Any) -> None:
         last = b.icmp_signed("==", j, b.sub(k, whole(1)))
         copy(code, arriving.at(b.select(last, j, b.add(j, whole(1)))), current, whole(1))
         nonlinear(code, block.record, x, current, g)
-        block.multiply("outputs", x, tall, whole(2), seen)
+        block.multiply("outputs", x, tall, whole(2), sampled)
         with code.lanes() as lane:
-            response.put(j, lane, seen.get(0, lane))
-            response.put(b.add(k, j), lane, seen.get(1, lane))
+            response.put(j, lane, sampled.get(0, lane))
+            response.put(b.add(k, j), lane, sampled.get(1, lane))
     copy(code, x, state, order)

@@ -39,13 +39,11 @@ def _read(code: Code, record: Any, matrices: Any, room: Any) -> None:
     draw_readings(block, SENSORS)
     with code.loop(code.whole("readings")) as i:
         row = code.b.load(code.b.gep(code.pointer("signals", I64), [i]))
-        follow, resolution = code.entry("follow", i), code.entry("resolution", i)
-        rounded, scale, rms = (code.entry(name, i) for name in ("rounded", "reading_scale", "rms"))
+        names = ("resolution", "rounded", "reading_scale", "rms")
+        resolution, rounded, scale, rms = (code.entry(name, i) for name in names)
         with code.lanes() as lane:
-            held, noise = block.rows("filtered").get(i, lane), block.rows("noise").get(i, lane)
-            filtered = held + (block.record.get(row, lane) - held) * follow
-            block.rows("filtered").put(i, lane, filtered)
-            reading = filtered + block.rows("bias").get(i, lane) + noise * rms
+            noise = block.rows("noise").get(i, lane)
+            reading = block.record.get(row, lane) + block.rows("bias").get(i, lane) + noise * rms
             steps = reading / resolution
             nearest = (steps.absolute() < WHOLE / 3.0).choose((steps + WHOLE) - WHOLE, steps)
             error = (nearest * resolution - reading) * rounded

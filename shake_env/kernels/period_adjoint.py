@@ -100,7 +100,7 @@ def _sweep(
     gbar: FloatArray,
     cbar: FloatArray,
     hbar: FloatArray,
-    seen: FloatArray,
+    sampled: FloatArray,
     back: FloatArray,
     change: FloatArray,
     outputs: FloatArray,
@@ -138,11 +138,11 @@ def _sweep(
         # Outputs: y = C x + D g, after the step.
         for n in range(w):
             xbar[order, n] = 0.0
-            seen[0, n], seen[1, n] = slopes[j, n], slopes[substeps + j, n]
+            sampled[0, n], sampled[1, n] = slopes[j, n], slopes[substeps + j, n]
         for i in range(inputs):
             for n in range(w):
                 toward_g[i, n] = gbar[i, n]
-        add_product(outputs, seen, xbar, w)
+        add_product(outputs, sampled, xbar, w)
         after, following = taped[j + 1], min(j + 1, substeps - 1)
         pull(after, after[order], v, s, friction, rate, toward_g, state, cbar[following], w)
         for n in range(w):

@@ -81,7 +81,7 @@ def _period(
     change = np.empty((inputs, order, depth))
     outputs = np.zeros((order + 1 + inputs, 2, depth))
     x = np.empty((order + 1 + inputs, width))  # state, current, g
-    y, later, seen = np.empty((order, width)), np.empty((inputs, width)), np.empty((2, width))
+    y, later, sampled = np.empty((order, width)), np.empty((inputs, width)), np.empty((2, width))
     response = np.empty((2 * substeps, width))
     arriving, friction, rate = np.empty((substeps, width)), np.empty(width), np.empty((2, width))
     none = lanes - lanes  # a zero that is no literal: for one the helpers would be compiled again
@@ -106,7 +106,20 @@ def _period(
                 for i in range(commands):
                     arriving[j, n] += picks[j, i] * state[lane, order + i]
         follow(
-            x, y, later, seen, arriving, transition, change, outputs, v, s, friction, rate, response, w
+            x,
+            y,
+            later,
+            sampled,
+            arriving,
+            transition,
+            change,
+            outputs,
+            v,
+            s,
+            friction,
+            rate,
+            response,
+            w,
         )
         for n in range(w):
             lane = first + n

@@ -165,19 +165,19 @@ def noise_factor(
         raise NumericalError("noise covariance", float(values.min()), "is not positive semi-definite")
     variance = np.diagonal(left, axis1=-2, axis2=-1)
     rounding = np.finfo(float).eps * np.max(variance, axis=-1)
-    found: list[FloatArray] = []
-    while directions is None or len(found) < directions:
+    columns: list[FloatArray] = []
+    while directions is None or len(columns) < directions:
         variance = np.diagonal(left, axis1=-2, axis2=-1)
         if directions is None and np.all(np.max(variance, axis=-1) <= rounding):
             break
-        pivot = np.argmax(variance, axis=-1) if len(found) >= len(first) else first[len(found)]
+        pivot = np.argmax(variance, axis=-1) if len(columns) >= len(first) else first[len(columns)]
         pivot = np.broadcast_to(pivot, variance.shape[:-1])[..., None]
         most = np.take_along_axis(variance, pivot, axis=-1)
         shared = np.take_along_axis(left, pivot[..., None], axis=-1)[..., 0]
-        seen = most > rounding[..., None]
-        found.append(np.where(seen, shared / np.sqrt(np.where(seen, most, 1.0)), 0.0))
-        left = left - found[-1][..., :, None] * found[-1][..., None, :]
-    return np.stack(found, axis=-1) * column if found else np.zeros((*scale.shape, 0))
+        significant = most > rounding[..., None]
+        columns.append(np.where(significant, shared / np.sqrt(np.where(significant, most, 1.0)), 0.0))
+        left = left - columns[-1][..., :, None] * columns[-1][..., None, :]
+    return np.stack(columns, axis=-1) * column if columns else np.zeros((*scale.shape, 0))
 
 
 @dataclass(frozen=True)

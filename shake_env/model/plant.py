@@ -225,12 +225,12 @@ def stationary_covariance(A: FloatArray, B: FloatArray) -> FloatArray:
     pairs = zip(A.reshape(-1, n, n), intensity.reshape(-1, n, n), strict=True)
     try:
         solutions = [scipy.linalg.solve_continuous_lyapunov(a, -q) for a, q in pairs]
-        found = np.array(solutions).reshape(A.shape)
+        covariance = np.array(solutions).reshape(A.shape)
     except (np.linalg.LinAlgError, ValueError) as error:  # singular; not finite
         raise NumericalError("stationary covariance", str(error), _REMEDY) from None
-    if not np.isfinite(found).all():
+    if not np.isfinite(covariance).all():
         raise NumericalError("stationary covariance", "not finite", _REMEDY)
-    return found
+    return covariance
 
 
 def _variance(A: FloatArray, B: FloatArray, row: FloatArray, scale: FloatArray) -> Any:
@@ -383,9 +383,9 @@ class CoupledPlant:
         """
         poles, right = np.linalg.eig(self._undamped)
         part = np.abs(right[LOAD_PRESSURE] * np.linalg.inv(right)[:, LOAD_PRESSURE])
-        found = poles.imag[np.argmax(np.where(poles.imag > 0.0, part, 0.0))] / (2.0 * np.pi)
+        frequency = poles.imag[np.argmax(np.where(poles.imag > 0.0, part, 0.0))] / (2.0 * np.pi)
         frequencies = self.natural_frequencies
-        return float(frequencies[np.argmin(np.abs(frequencies - found))])
+        return float(frequencies[np.argmin(np.abs(frequencies - frequency))])
 
     @property
     def _undamped(self) -> FloatArray:

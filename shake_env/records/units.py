@@ -233,7 +233,7 @@ def check_peak(place: str, stated: str, unit: Unit, acceleration: FloatArray) ->
     """
     expected = abs(float(unit.to_si(np.asarray(float(stated)))))
     digit = float(unit.to_si(np.asarray(10.0 ** -len(stated.partition(".")[2]))))
-    found = max(-float(np.min(acceleration)), float(np.max(acceleration)))
-    if not (math.isfinite(expected) and abs(found - expected) <= 0.02 * expected + digit):
-        remedy = f"the data's own peak is {found / float(unit.to_si(np.asarray(1.0))):.6g} {unit}"
+    peak = max(-float(np.min(acceleration)), float(np.max(acceleration)))
+    if not (math.isfinite(expected) and abs(peak - expected) <= 0.02 * expected + digit):
+        remedy = f"the data's own peak is {peak / float(unit.to_si(np.asarray(1.0))):.6g} {unit}"
         raise RecordError(place, f"peak {stated}", f"{remedy}: the file is damaged or its unit wrong")

@@ -194,12 +194,12 @@ class Painter:
 
 def rulers(scales: Sequence[float]) -> list[tuple[str, float]]:
     """Return what the rulers of base and sway say, and their widths [px]."""
-    found = []
+    marks = []
     kinds = (("base motion", BASE_REACH), ("storey sway", SWAY_REACH))
     for (what, reach), scale in zip(kinds, scales, strict=False):
         value = nice_floor(scale)
-        found.append((f"{length(value)} of {what}", reach * value / scale))
-    return found
+        marks.append((f"{length(value)} of {what}", reach * value / scale))
+    return marks
 
 
 def length(value: float) -> str:

@@ -142,10 +142,10 @@ class SceneRecorder:
 
     def scene(self) -> Scene:
         """Return the present moment."""
-        kept = min(self._samples, len(self._ring))
-        order: NDArray[np.intp] = np.arange(self._samples - kept, self._samples) % len(self._ring)
+        count = min(self._samples, len(self._ring))
+        order: NDArray[np.intp] = np.arange(self._samples - count, self._samples) % len(self._ring)
         history = self._ring[order]
-        steps = np.arange(self._samples - kept + 1, self._samples + 1, dtype=float) * self._stride
+        steps = np.arange(self._samples - count + 1, self._samples + 1, dtype=float) * self._stride
         ages: FloatArray = self.time - steps * self.scenario.control_period
         ratios = [
             math.sqrt(error / target) if target > 0.0 else math.nan for error, target in self._sums.T

@@ -111,8 +111,8 @@ def _hypothesis(scenario: Scenario, specimen: Specimen) -> Hypothesis:
     running[ACTUATOR + n :, TABLE_VELOCITY] = -1.0  # x_r' = w - v_a
     floors = np.zeros((n, m))
     floors[:, ACTUATOR:] = floor_rows(plant, plain.yielding)
-    seen = np.vstack([np.eye(ACTUATOR, m), model.C[:1], floors])
-    push = np.zeros((len(seen), columns))
+    output_rows = np.vstack([np.eye(ACTUATOR, m), model.C[:1], floors])
+    push = np.zeros((len(output_rows), columns))
     push[ACTUATOR, force] = 1.0 / scenario.actuator.table_mass
     decay, outputs = math.exp(-scenario.physics_step / FLOW_DECAY), []
     for j in range(k):
@@ -120,7 +120,7 @@ def _hypothesis(scenario: Scenario, specimen: Specimen) -> Hypothesis:
         running[:, queue] += np.outer(model.B[:, 0], arriving[j])
         running[:, force] += model.B[:, 1 + FORCE]
         running[:, flow] += model.B[:, 1 + FLOW] * decay**j
-        outputs.append(seen @ running + push)
+        outputs.append(output_rows @ running + push)
     period = np.zeros((columns - 1, columns))
     period[:m] = running
     period[ACTUATOR + n : m] += running[TABLE_VELOCITY]
@@ -210,13 +210,17 @@ class BrakingPrediction:
         table, limit = np.stack(rows), np.stack(reach)
         effect = table[:, :, -1] * np.where(table[:, :, -1] < 0.0, -1.0, 1.0)
         matters = effect * current > MATTERS * limit
-        kept = matters.any(axis=0)
-        effect = np.where(matters, effect, np.inf)[:, kept]
-        sign = np.where(table[:, kept, -1] < 0.0, -1.0, 1.0)
+        relevant = matters.any(axis=0)
+        effect = np.where(matters, effect, np.inf)[:, relevant]
+        sign = np.where(table[:, relevant, -1] < 0.0, -1.0, 1.0)
         return cls(
             feedback=feedback,
-            rows=np.swapaxes(table[:, kept, :-1] * (sign / effect)[:, :, None], 1, 2).astype(np.float32),
-            bound=np.where(np.isinf(effect), 1e3, limit[:, kept] / effect)[:, None].astype(np.float32),
+            rows=np.swapaxes(table[:, relevant, :-1] * (sign / effect)[:, :, None], 1, 2).astype(
+                np.float32
+            ),
+            bound=np.where(np.isinf(effect), 1e3, limit[:, relevant] / effect)[:, None].astype(
+                np.float32
+            ),
             velocity=np.stack(velocity),
             push=np.asarray(push),
             carry=np.stack(carry),
@@ -250,14 +254,14 @@ def _predict(
         outputs = model.outputs @ running
         following = model.period @ running
         running = np.vstack([following, -law @ following])
-        for seen in outputs:
+        for output in outputs:
             now += 1
             due = [name for name in bounds if now <= last[name] and now % every[name] == 0]
             for name in due:
                 if name in PLACES:
-                    looked = seen[PLACES[name] : PLACES[name] + 1]
+                    looked = output[PLACES[name] : PLACES[name] + 1]
                 else:
-                    looked = seen[ACTUATOR + 1 :] if name != "current" else running[-1:]
+                    looked = output[ACTUATOR + 1 :] if name != "current" else running[-1:]
                 rows.append(looked)
                 allowed.extend([bounds[name]] * len(looked))
     return np.concatenate(rows), np.asarray(allowed)

@@ -27,9 +27,9 @@ class Interventions:
         return float(self.acted.sum() / max(int(self.steps.sum()), 1))
 
     def __str__(self) -> str:
-        found = {name: count for name, count in self.faults.items() if count.any()}
+        faulty = {name: count for name, count in self.faults.items() if count.any()}
         faults = ", ".join(
-            f"{name} {count.sum()} at {np.count_nonzero(count)} tables" for name, count in found.items()
+            f"{name} {count.sum()} at {np.count_nonzero(count)} tables" for name, count in faulty.items()
         )
         return (
             f"supervisor: changed {self.acted.sum()} of {self.steps.sum()} commands "

@@ -173,13 +173,13 @@ class Supervised:
 
     def _look(self, memory: Memory | None, readings: FloatArray, begins: NDArray[np.bool_]) -> Memory:
         """Return the memory with what the readings (N, 4) say of the specimens and forces."""
-        seen = self._foresight
+        prediction = self._foresight
         velocity = readings[:, TABLE_VELOCITY]
-        lanes, hypotheses, floors = len(readings), len(seen.push), seen.carry.shape[1]
+        lanes, hypotheses, floors = len(readings), len(prediction.push), prediction.carry.shape[1]
         if memory is None:
             count = np.zeros(lanes, dtype=np.int64)
             memory = Memory(
-                commands=np.zeros((lanes, len(seen.feedback) - ACTUATOR)),
+                commands=np.zeros((lanes, len(prediction.feedback) - ACTUATOR)),
                 velocity=velocity,
                 expected=np.zeros((hypotheses, lanes)),
                 specimens=np.zeros((hypotheses, lanes, floors)),
@@ -191,8 +191,8 @@ class Supervised:
         after = np.broadcast_to(velocity[:, None], (hypotheses, lanes, 1))
         carried = np.concatenate([memory.specimens, before, after], axis=-1)
         unexpected = velocity - memory.expected
-        force = memory.force + TRUST * unexpected / seen.push[:, None]
-        specimens = carried @ np.swapaxes(seen.carry, 1, 2)
+        force = memory.force + TRUST * unexpected / prediction.push[:, None]
+        specimens = carried @ np.swapaxes(prediction.carry, 1, 2)
         return replace(
             memory,
             commands=np.where(begins[:, None], 0.0, memory.commands),
@@ -205,17 +205,17 @@ class Supervised:
         self, memory: Memory, estimate: Estimate, misfit: FloatArray, wanted: FloatArray
     ) -> tuple[FloatArray, Memory, FloatArray]:
         """Return the actions (N,) that are sent in place of those `wanted`, the memory, the queue."""
-        seen, full = self._foresight, self.scenario.current_limit
+        prediction, full = self._foresight, self.scenario.current_limit
         table = estimate.table
         z = self._state(memory, table)
-        across = z.astype(np.float32) @ seen.rows
+        across = z.astype(np.float32) @ prediction.rows
         margin = DEVIATIONS * estimate.deviation + MISFIT * misfit
-        reach = seen.bound
+        reach = prediction.bound
         if margin.any():
             reach = reach - margin.astype(np.float32) @ self._sensitivity
         upper = (reach - across).min(axis=(0, 2)) / full
         lower = -(reach + across).min(axis=(0, 2)) / full
-        brake = -np.concatenate([table, memory.commands], axis=-1) @ seen.feedback / full
+        brake = -np.concatenate([table, memory.commands], axis=-1) @ prediction.feedback / full
         finite = np.isfinite(wanted)
         asked = np.where(finite, wanted, 0.0).clip(-1.0, 1.0)
         failed = estimate.faulty[:, :ACTUATOR].any(axis=1)
@@ -226,7 +226,9 @@ class Supervised:
         sent = sent.clip(-self._most, self._most).astype(np.float32).astype(np.float64)  # as it leaves
         change = np.where(finite, np.abs(sent - asked), 0.0)
         current = full * sent
-        expected = (z @ seen.velocity[:, :-1, None])[:, :, 0] + seen.velocity[:, -1:] * current
+        expected = (z @ prediction.velocity[:, :-1, None])[:, :, 0] + prediction.velocity[
+            :, -1:
+        ] * current
         queue = np.concatenate([memory.commands, current[:, None]], axis=-1)
         acted = ~finite | (change > ROUNDING)
         return (

@@ -42,7 +42,7 @@ class ObserverMemory:
     covariance: FloatArray  # (N, 5, 5)
     before: FloatArray  # (N, s) readings of the period before; NaN: none
     equal: NDArray[np.int64]  # (N, s) readings in a row that were equal
-    filtered: FloatArray  # (N, s - 4) what the accelerometer's low-pass gave, SI
+    filtered: FloatArray  # (N, s - 4) the accelerometer's last reading, SI
     faulty: NDArray[np.bool_]  # (N, s) readings of that period that were left out
     misfit: FloatArray  # (N, 4) recent part of the innovations of x_A that noise does not explain
     faults: NDArray[np.int64]  # (N, s) readings left out as faulty, over all episodes
@@ -98,8 +98,8 @@ class TableStateObserver:
         size = np.asarray([*table, mass * full.table_acceleration])
         unit = np.asarray([*table, full.table_acceleration])[: len(C)]
         noise = channels.noise / unit + ROUNDING
-        # The low-pass is undone by a difference of two readings.
-        noise[ACTUATOR:] *= np.sqrt(1.0 + (1.0 - channels.follow) ** 2) / channels.follow
+        # The low-pass, f' = (y - f) / T, is undone by a difference of two readings: y = f + T f'.
+        noise[ACTUATOR:] *= np.hypot(1.0 + channels.lead, channels.lead)
         A = model[np.ix_(kept, kept)] * size / size[:, None]
         push = np.append(A[:ACTUATOR, -1], 0.0)  # of a force that is held over the period
         step = FORCE_STEP * (0.5 * push + np.eye(STATES)[-1])
@@ -162,7 +162,7 @@ class TableStateObserver:
         value = readings.copy()
         if len(C) > ACTUATOR:
             last = memory.filtered
-            value[:, ACTUATOR:] = last + (readings[:, ACTUATOR:] - last) / channels.follow
+            value[:, ACTUATOR:] += channels.lead * (readings[:, ACTUATOR:] - last)
         value = np.where(np.isfinite(value), value, 0.0) / self.unit
         P = memory.covariance
         innovation = value - memory.state @ C.T

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from functools import lru_cache
 from numbers import Real
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from shake_env.motion.targets import FilteredNoise, MotionSet, RecordedMotion
+from shake_env.scenario.observation import Sensor
 from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import Scenario
 
@@ -36,9 +37,20 @@ def scenario_digest(scenario: Scenario) -> str:
     and a record counts by its samples. It depends on neither Python's version nor the platform.
     """
     parts = {f.name: getattr(scenario, f.name) for f in fields(scenario) if f.name not in LEFT_OUT}
+    parts["sensing"] = replace(scenario.sensing, preview_spacing=_spacing(scenario))
     plain = {name: _canonical(value, name) for name, value in parts.items()}
     text = json.dumps(_without_empty(plain), sort_keys=True, separators=(",", ":"))
     return f"{VERSION}:{hashlib.sha256(text.encode()).hexdigest()[:32]}"
+
+
+def _spacing(scenario: Scenario) -> float | None:
+    """Return the spacing of the preview's samples [s]; None where it is the control period.
+
+    So that the form says what is shown, and is that of before where that is the same: in version 1
+    None stood for the control period.
+    """
+    samples, steps = scenario.sensing.preview_steps(scenario.physics_step)
+    return steps * scenario.physics_step if samples and steps != scenario.substeps else None
 
 
 def known_name(scenario: Scenario) -> str:
@@ -78,6 +90,8 @@ def _canonical(value: Any, path: str) -> Any:
 def _parts(value: Any, path: str, *left_out: str) -> dict[str, Any]:
     names = [f.name for f in fields(value) if f.name not in left_out]
     plain = {name: _canonical(getattr(value, name), f"{path}.{name}") for name in names}
+    if plain.get("lowpass_frequency") is not None and isinstance(value, Sensor):
+        plain["lowpass"] = "analogue"  # in version 1 it was sampled at the control rate
     kinds = [kind for motion, kind in _MOTION_KINDS if isinstance(value, motion)]
     return _without_empty(plain) | ({"kind": kinds[0]} if kinds else {})
 

@@ -18,7 +18,9 @@ from shake_env.motion.processing import fit_amplitude, remove_baseline
 from shake_env.motion.targets import RecordedMotion
 from shake_env.records import read_motion
 from shake_env.scenario.capacity import scenario_capacity
+from shake_env.scenario.plant_samples import read_samples
 from shake_env.scenario.scenario import Scenario
+from shake_env.scenario.uncertainty import Uncertainty
 
 
 @dataclass(frozen=True)
@@ -241,6 +243,17 @@ def recorded_file(
     return fit_amplitude(motion, scenario_capacity(scenario), physics_step=scenario.physics_step).motion
 
 
+def posterior_file(*, path: str, _context: FormContext) -> Uncertainty:
+    """Return the samples of a posterior that `shake identify` wrote; see `read_samples`.
+
+    Parameters
+    ----------
+    path
+        The file, relative to the file that names it.
+    """
+    return read_samples(_context.folder / path)
+
+
 FORMS: dict[type, Mapping[str, Callable[..., Any]]] = {
     Specimen: {
         "uniform": equal_storeys,
@@ -249,5 +262,6 @@ FORMS: dict[type, Mapping[str, Callable[..., Any]]] = {
         "modes": measured_modes,
     },
     RecordedMotion: {"file": recorded_file},
+    Uncertainty: {"posterior": posterior_file},
 }
 """Part, to the name of a form, to its constructor."""

@@ -128,10 +128,10 @@ class Limits:
         size = xp.abs(scaled_state)
         # `not <=`, so that a NaN counts as diverged.
         inside = size <= self.state_limit
-        kept = xp.all(inside[..., :TABLE_DISPLACEMENT], axis=-1) & xp.all(
+        within = xp.all(inside[..., :TABLE_DISPLACEMENT], axis=-1) & xp.all(
             inside[..., TABLE_DISPLACEMENT + 1 :], axis=-1
         )
-        code = xp.where(kept, 0, 1)
+        code = xp.where(within, 0, 1)
         for number, limit, value in self._checks(state, table_acceleration, current, floors):
             code = xp.where((code == 0) & (value > limit), number, code)
         return code
@@ -153,18 +153,18 @@ class Limits:
     ) -> list[tuple[int, float, Array]]:
         """Return (code, limit, size of the quantity) of each limit that is on."""
         xp = array_api_compat.array_namespace(state)
-        found: list[tuple[int, float, Array]] = []
+        checks: list[tuple[int, float, Array]] = []
         for number, limit, place in (
             (2, self.table_displacement, TABLE_DISPLACEMENT),
             (3, self.table_velocity, TABLE_VELOCITY),
             (4, self.load_pressure, LOAD_PRESSURE),
         ):
             if limit is not None:
-                found.append((number, limit, xp.abs(state[..., place])))
+                checks.append((number, limit, xp.abs(state[..., place])))
         if self.table_acceleration is not None:
-            found.append((5, self.table_acceleration, xp.max(xp.abs(table_acceleration), axis=-1)))
+            checks.append((5, self.table_acceleration, xp.max(xp.abs(table_acceleration), axis=-1)))
         if self.current is not None and current is not None:
-            found.append((6, self.current, xp.abs(current)))
+            checks.append((6, self.current, xp.abs(current)))
         if self.specimen_acceleration is not None and floors is not None:
-            found.append((7, self.specimen_acceleration, xp.max(xp.abs(floors), axis=-1)))
-        return found
+            checks.append((7, self.specimen_acceleration, xp.max(xp.abs(floors), axis=-1)))
+        return checks

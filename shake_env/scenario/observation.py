@@ -12,15 +12,11 @@ from functools import cached_property
 
 import numpy as np
 
+from shake_env.dynamics.low_pass import STATE_SIGNALS as STATE_SIGNALS
+from shake_env.dynamics.low_pass import LowPass
 from shake_env.errors import ParameterError, unknown
 from shake_env.model.parameters import FloatArray
-from shake_env.model.plant import (
-    LOAD_PRESSURE,
-    SPOOL_POSITION,
-    TABLE_DISPLACEMENT,
-    TABLE_VELOCITY,
-    CoupledPlant,
-)
+from shake_env.model.plant import CoupledPlant
 from shake_env.model.ranges import check_ranges
 
 FLOOR_ACCELERATIONS = "floor_accelerations"
@@ -33,22 +29,16 @@ UNITS = {
     "base_shear": "N",
     FLOOR_ACCELERATIONS: "m/s^2",
 }
-STATE_SIGNALS = {
-    "load_pressure": LOAD_PRESSURE,
-    "table_displacement": TABLE_DISPLACEMENT,
-    "table_velocity": TABLE_VELOCITY,
-    "spool_position": SPOOL_POSITION,
-}  # place of each in x_A
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
     """One measured signal, sampled at the end of each control period.
 
-    The reading is the signal through a first-order low-pass (exact for a signal that is held between
-    samples), plus a bias that is constant over an episode, plus white noise, rounded to the resolution.
-    Noise, bias and resolution are in the signal's unit. ``floor_accelerations`` are the absolute
-    accelerations of all floors, one reading each.
+    The reading is the signal through an analogue first-order low-pass, sampled, plus a bias that is
+    constant over an episode, plus white noise, rounded to the resolution. The low-pass is stepped with
+    the table: it feels the signal between the samples. Noise, bias and resolution are in the signal's
+    unit. ``floor_accelerations`` are the absolute accelerations of all floors, one reading each.
 
     Raises
     ------
@@ -81,7 +71,7 @@ class Sensing:
 
     sensors: tuple[Sensor, ...] | None = None  # None: the full state, without noise
     preview: float = 0.0  # [s] how far ahead the target acceleration is known
-    preview_spacing: float | None = None  # [s] between its samples; None: the control period
+    preview_spacing: float | None = None  # [s] between its samples; None: the physics step
     last_action: bool = False  # whether the action of the last control period is shown
     history: int = 0  # earlier control periods whose readings (and last actions) are shown
 
@@ -162,7 +152,7 @@ class Sensing:
         """Whether an observation is the full state and nothing else."""
         return self.full_state and self.preview == 0.0 and not self.last_action
 
-    def preview_steps(self, control_period: float, physics_step: float) -> tuple[int, int]:
+    def preview_steps(self, physics_step: float) -> tuple[int, int]:
         """Return the number of previewed samples and the physics steps between them.
 
         Raises
@@ -170,7 +160,7 @@ class Sensing:
         ParameterError
             If the spacing is no whole number of physics steps, or the preview none of spacings.
         """
-        spacing = control_period if self.preview_spacing is None else self.preview_spacing
+        spacing = physics_step if self.preview_spacing is None else self.preview_spacing
         steps = _whole("preview_spacing", spacing, physics_step, "physics steps")
         return _whole("preview", self.preview, spacing, "spacings"), steps
 
@@ -271,6 +261,13 @@ class ObservationLayout:
         sizes = {name: float(actuator[place]) for name, place in STATE_SIGNALS.items()}
         sizes["base_shear"] = self.plant.specimen.mass * acceleration
         return np.asarray([sizes.get(name, acceleration) for name in self.reading_names])
+
+    @cached_property
+    def low_passes(self) -> tuple[LowPass, ...]:
+        """The readings that pass through a low-pass, in order."""
+        cutoff = self.sensor_values("lowpass_frequency")  # infinite: no low-pass
+        rows = zip(self.reading_names, cutoff.tolist(), self.reading_scale.tolist(), strict=True)
+        return tuple(LowPass(*row) for row in rows if math.isfinite(row[1]))
 
     @cached_property
     def names(self) -> tuple[str, ...]:

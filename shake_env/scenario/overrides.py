@@ -135,7 +135,11 @@ def make_scenario(
     changed = replace(scenario, **changes)
     if "record" in given or any(name in given for name in _MOTION):
         changed = replace(changed, motion=_changed_motion(changed, given))
-    final: Scenario = with_fields(changed, given.get("fields", {}))
+    fields = given.get("fields", {})
+    if fields.get("table", changed.table) != changed.table:
+        remedy = "as a field is a name alone: give --table NAME, in Python the option table"
+        raise ScenarioError("table", fields["table"], remedy)
+    final: Scenario = with_fields(changed, fields)
     return final
 
 

@@ -21,6 +21,8 @@ from shake_env.motion.targets import FilteredNoise, Motion, MotionSet, RecordedM
 from shake_env.scenario.limits import Limits
 from shake_env.scenario.objective import Objective, StageCost
 from shake_env.scenario.observation import ObservationLayout, Sensing
+from shake_env.scenario.plant_samples import PlantSamples
+from shake_env.scenario.plant_values import with_specimen_values
 from shake_env.scenario.tables.table import DEFAULT_TABLE, TABLE_NAMES, named_table
 from shake_env.scenario.uncertainty import Uncertainty
 
@@ -78,7 +80,7 @@ class Scenario:
     limits: Limits = field(default_factory=Limits)
     nonlinearity: Nonlinearity = field(default_factory=Nonlinearity)
     delay: float = 0  # [physics steps] from the controller's command to the valve
-    uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    uncertainty: Uncertainty | PlantSamples = field(default_factory=Uncertainty)
     sensing: Sensing = field(default_factory=Sensing)
     train_on: str | None = None  # scenario to train and tune on instead of this one, which is for tests
 
@@ -110,7 +112,7 @@ class Scenario:
             )
         check_resolution(self.actuator, self.specimen, self.ground, self.nonlinearity, self.physics_step)
         self._check_equations()
-        self.sensing.preview_steps(self.control_period, self.physics_step)
+        self.sensing.preview_steps(self.physics_step)
         check_directions("noise_directions", self.noise_directions)
 
     def _check_equations(self) -> None:
@@ -126,6 +128,10 @@ class Scenario:
         if self.equations != ModelEquations() and any(asked.values()):
             name = next(name for name, given in asked.items() if given)
             raise ScenarioError(name, getattr(self, name), 'needs equations="corrected"')
+        for sensor in self.sensing.sensors or ():
+            if self.equations != ModelEquations() and sensor.lowpass_frequency is not None:
+                path = f"sensing.sensors.{sensor.signal}.lowpass_frequency"
+                raise ScenarioError(path, sensor.lowpass_frequency, 'needs equations="corrected"')
         valve = self.nonlinearity.valve
         if self.uncertainty.valve_time_constant and valve.natural_frequency is not None:
             raise ScenarioError(
@@ -139,7 +145,11 @@ class Scenario:
         return self.with_plant(self.uncertainty.sample(stream))
 
     def with_plant(self, values: Mapping[str, float]) -> Scenario:
-        """Return this scenario with these values of its uncertain parameters, by their names."""
+        """Return this scenario with these values of its uncertain parameters, by their names.
+
+        Beside those of `Uncertainty` these are all of the actuator and of `plant_values`, and
+        ``yield_drift`` and ``supply_pressure``.
+        """
         changes: dict[str, Any] = {}
         specimen = {name: values[name] for name in UNIFORM if name in values}
         if specimen:
@@ -149,26 +159,37 @@ class Scenario:
         actuator = {name: value for name, value in values.items() if name in vars(self.actuator)}
         if actuator:
             changes["actuator"] = replace(self.actuator, **actuator)
+        own = with_specimen_values(changes.get("specimen", self.specimen), values)
+        if own is not self.specimen:
+            changes["specimen"] = own
+        parts = self.nonlinearity
         if "coulomb_friction" in values:
-            friction = self.nonlinearity.friction.at(values["coulomb_friction"])
-            changes["nonlinearity"] = replace(self.nonlinearity, friction=friction)
+            parts = replace(parts, friction=parts.friction.at(values["coulomb_friction"]))
+        if "yield_drift" in values:
+            yielding = replace(parts.yielding, yield_drift=values["yield_drift"])
+            parts = replace(parts, yielding=yielding)
+        if "supply_pressure" in values:
+            valve = replace(parts.valve, supply_pressure=values["supply_pressure"])
+            parts = replace(parts, valve=valve)
+        if parts is not self.nonlinearity:
+            changes["nonlinearity"] = parts
         if "delay" in values:
-            changes["delay"] = round(values["delay"])
+            changes["delay"] = values["delay"]
         return replace(self, **changes)
 
     @property
     def parts(self) -> Nonlinearity:
         """The nonlinear parts of the tables that are stepped: friction also where it is only drawn."""
-        friction, drawn = self.nonlinearity.friction, self.uncertainty.coulomb_friction
-        if drawn is None or friction.active:
+        friction, most = self.nonlinearity.friction, self.uncertainty.largest("coulomb_friction")
+        if most is None or friction.active:
             return self.nonlinearity
-        return replace(self.nonlinearity, friction=friction.at(drawn.high))
+        return replace(self.nonlinearity, friction=friction.at(most))
 
     @property
     def longest_delay(self) -> float:
         """Longest loop delay [physics steps] that a drawn plant can have."""
-        uncertain = self.uncertainty.delay
-        return self.delay if uncertain is None else max(self.delay, math.ceil(uncertain.high))
+        most = self.uncertainty.largest("delay")
+        return self.delay if most is None else max(self.delay, math.ceil(most))
 
     @property
     def input_unit(self) -> str:
@@ -198,7 +219,7 @@ class Scenario:
     @cached_property
     def observation(self) -> ObservationLayout:
         """Where each part of an observation lies."""
-        samples, spacing = self.sensing.preview_steps(self.control_period, self.physics_step)
+        samples, spacing = self.sensing.preview_steps(self.physics_step)
         return ObservationLayout(self.sensing, self.plant, samples, spacing)
 
     @cached_property

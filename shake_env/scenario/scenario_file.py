@@ -264,10 +264,10 @@ def _table(source: TomlSource) -> dict[str, Any]:
     try:
         return tomllib.loads(source.text)
     except (ValueError, RecursionError) as error:
-        found = re.search(r" \(at line (\d+), column \d+\)", str(error))
+        position = re.search(r" \(at line (\d+), column \d+\)", str(error))
         lines = source.text.split("\n")
-        number = int(found[1]) if found else len(lines)
-        why = str(error)[: found.start()] if found else str(error)
+        number = int(position[1]) if position else len(lines)
+        why = str(error)[: position.start()] if position else str(error)
         text = lines[number - 1].strip()[:80]
         raise ScenarioError(f"{source.file}, line {number}", text, f"is no TOML: {why}") from None
 

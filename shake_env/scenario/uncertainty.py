@@ -72,8 +72,16 @@ class Uncertainty:
 
     def sample(self, stream: np.random.Generator) -> dict[str, float]:
         """Return a value of each uncertain parameter, drawn in fixed order."""
-        return {
+        values = {
             name: distribution.draw(stream)
             for name, distribution in vars(self).items()
             if distribution is not None
         }
+        if "delay" in values:
+            values["delay"] = round(values["delay"])
+        return values
+
+    def largest(self, name: str) -> float | None:
+        """Return the largest value that a parameter can have; None where it is not drawn."""
+        drawn = getattr(self, name, None)
+        return None if drawn is None else float(drawn.high)

@@ -5,7 +5,7 @@ from shake_env.simulation.excitation import Excitation
 from shake_env.simulation.memory import check_memory
 from shake_env.simulation.metrics import EpisodeMetrics, Sums
 from shake_env.simulation.sensors import Measurement, SensorMemory
-from shake_env.simulation.simulation import Simulation, episode_stream
+from shake_env.simulation.simulation import Simulation, earthquake_stream, episode_stream
 from shake_env.simulation.trajectory import Recorder, Trajectory
 from shake_env.simulation.transition import TableModel, dynamics_of
 
@@ -22,5 +22,6 @@ __all__ = [
     "Trajectory",
     "check_memory",
     "dynamics_of",
+    "earthquake_stream",
     "episode_stream",
 ]

@@ -31,7 +31,7 @@ def memory_needed(scenario: Scenario, lanes: int) -> int:
     draws = k * (scenario.noise_directions or MOST_DIRECTIONS)
     commands = math.ceil(scenario.longest_delay / k)
     slips = stories if scenario.parts.yielding.active else 0
-    table = 4 + 2 * stories + slips + commands + 1
+    table = 4 + 2 * stories + slips + len(scenario.observation.low_passes) + commands + 1
     drive = table + 2 * k if scenario.equations.specimen_feels_target else 0
     width = exogenous + 2 * k + drive
     inputs = order + 1 + draws
@@ -44,7 +44,7 @@ def memory_needed(scenario: Scenario, lanes: int) -> int:
         + k * (commands + 1)
     )
     plants = lanes if scenario.uncertainty.active else 1
-    samples, spacing = scenario.sensing.preview_steps(scenario.control_period, scenario.physics_step)
+    samples, spacing = scenario.sensing.preview_steps(scenario.physics_step)
     slots = 1 + math.ceil(samples * spacing / k)  # of the ring of periods
     readings = 0 if scenario.sensing.full_state else len(scenario.sensing.sensors or ()) + stories
     observation = scenario.observation.size

@@ -46,18 +46,18 @@ class OutputPool:
         return [memory, memory.ctypes.data]
 
     @staticmethod
-    def _references(kept: list[Any]) -> int:
-        return sys.getrefcount(kept[0])
+    def _references(entry: list[Any]) -> int:
+        return sys.getrefcount(entry[0])
 
     def take(self) -> tuple[NDArray[np.uint8], int]:
         """Return memory that nobody holds, and its address."""
-        for kept in self._kept:
-            if self._references(kept) == self._free:
-                return kept[0], kept[1]
-        kept = self._new()
+        for entry in self._kept:
+            if self._references(entry) == self._free:
+                return entry[0], entry[1]
+        entry = self._new()
         if len(self._kept) < MOST:
-            self._kept.append(kept)
-        return kept[0], kept[1]
+            self._kept.append(entry)
+        return entry[0], entry[1]
 
     def addresses(self, address: int) -> tuple[int, int, int]:
         """Return where report, observations and ends lie in memory at an address."""

@@ -16,7 +16,6 @@ from shake_env.model.nonlinearity import Nonlinearity
 from shake_env.model.parameters import FloatArray
 from shake_env.model.plant import TABLE_DISPLACEMENT
 from shake_env.scenario.limits import OBSERVATION_BOUND, REASONS
-from shake_env.scenario.observation import STATE_SIGNALS
 from shake_env.simulation.engine import Tables
 from shake_env.simulation.excitation import periods_ahead
 
@@ -193,7 +192,6 @@ def _field_rows(tables: Tables, sizes: Mapping[str, int], block: int) -> dict[st
         "state": sizes["order"] + sizes["commands"],
         "response": 2 * k,
         "floors": sizes["storeys_seen"],
-        "filtered": s,
         "bias": s,
         "noise": up(s, 16 if block == 1 else 4),
         "reading": s,
@@ -259,7 +257,7 @@ def _numbers(tables: Tables, sizes: Mapping[str, int]) -> tuple[FloatArray, dict
     inverse[: len(head)] = 1.0 / head
     inverse[layout.preview] = 1.0 / measured.preview_scale
     found = (
-        bounds, inverse, measured.follow, measured.resolution, measured.rounded, measured.scale,
+        bounds, inverse, measured.resolution, measured.rounded, measured.scale,
         measured.rms, measured.offset,
     )  # fmt: skip
     starts, start = {}, len(scalars)
@@ -300,9 +298,10 @@ def _sources(tables: Tables, sizes: Mapping[str, int], rows: Mapping[str, slice]
 def _signals(tables: Tables, sizes: Mapping[str, int], rows: Mapping[str, slice]) -> IntArray:
     """Return the row of a record that each reading is taken from."""
     k, found = sizes["substeps"], []
-    for name in tables.scenario.observation.reading_names:
-        if name in STATE_SIGNALS:
-            found.append(rows["state"].start + STATE_SIGNALS[name])
+    layout, places = tables.scenario.observation, tables.model.measurement.places
+    for name, place in zip(layout.reading_names, places.tolist(), strict=True):
+        if place >= 0:
+            found.append(rows["state"].start + place)
         elif name.startswith("floor"):
             found.append(rows["floors"].start + int(name.rsplit("_", 1)[1]) - 1)
         else:

@@ -87,7 +87,14 @@ class Fleet:
             actuator, stacked([true.specimen for true in drawn]), scenario.ground, scenario.equations
         )
         parts, step, k = scenario.parts, scenario.physics_step, scenario.substeps
-        dynamics = NonlinearDynamics.of(plant, parts, step, k, longest_delay=scenario.longest_delay)
+        dynamics = NonlinearDynamics.of(
+            plant,
+            parts,
+            step,
+            k,
+            longest_delay=scenario.longest_delay,
+            low_passes=scenario.observation.low_passes,
+        )
         commands = commands_under_way(scenario.longest_delay, k)
         own = {
             "coulomb": [true.nonlinearity.friction.coulomb for true in drawn],

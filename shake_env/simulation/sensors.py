@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -11,7 +10,9 @@ import array_api_compat
 import numpy as np
 
 from shake_env.dynamics.linear import as_like
-from shake_env.scenario.observation import STATE_SIGNALS, ObservationLayout
+from shake_env.dynamics.low_pass import STATE_SIGNALS, first_low_pass
+from shake_env.scenario.observation import ObservationLayout
+from shake_env.scenario.scenario import Scenario
 
 Array = Any  # a numpy array or a torch tensor
 
@@ -20,7 +21,6 @@ Array = Any  # a numpy array or a torch tensor
 class SensorMemory:
     """What the sensors of a table remember from one control period to the next."""
 
-    filtered: Array  # (..., s) outputs of the low-passes, SI
     bias: Array  # (..., s) offsets of this episode, SI
     action: Array  # (...) last action, within [-1, 1]
     past: Array  # (..., history, s or s + 1) readings over their scale and last actions, newest first
@@ -44,7 +44,7 @@ class Measurement:
     """From the signals of a table to its readings."""
 
     layout: ObservationLayout
-    follow: Array  # (s,) share of its way to the signal that a low-pass goes in a control period
+    places: Array  # (s,) where a reading lies in the table's state; -1: it is no entry of it
     resolution: Array  # (s,) SI; 1 where there is none
     rounded: Array  # (s,) 1 where readings are rounded, else 0
     scale: Array  # (s,) SI
@@ -53,13 +53,16 @@ class Measurement:
     offset: Array  # (s,) standard deviation of the constant offset that an episode draws, SI
 
     @classmethod
-    def of(cls, layout: ObservationLayout, control_period: float) -> Measurement:
-        """Return the measurement of an observation layout at a control period [s]."""
-        cutoff = layout.sensor_values("lowpass_frequency")  # infinite: no low-pass
+    def of(cls, scenario: Scenario) -> Measurement:
+        """Return the measurement of a scenario's observation."""
+        layout = scenario.observation
+        first = first_low_pass(scenario.plant, scenario.parts)
+        behind = {each.signal: first + i for i, each in enumerate(layout.low_passes)}
+        places = {**STATE_SIGNALS, **behind}
         resolution = layout.sensor_values("resolution")
         return cls(
             layout=layout,
-            follow=-np.expm1(-2.0 * math.pi * control_period * cutoff),
+            places=np.array([places.get(name, -1) for name in layout.reading_names], dtype=int),
             resolution=np.where(resolution > 0.0, resolution, 1.0),
             rounded=(resolution > 0.0).astype(float),
             scale=layout.reading_scale,
@@ -70,14 +73,13 @@ class Measurement:
 
     def like(self, array: Array) -> Measurement:
         """Return this measurement in the library, precision and device of `array`."""
-        names = ("follow", "resolution", "rounded", "scale", "rms", "offset")
+        names = ("resolution", "rounded", "scale", "rms", "offset")
         return replace(self, **{name: as_like(getattr(self, name), array) for name in names})
 
     def rest(self, lanes: int) -> SensorMemory:
         """Return the memory (lanes, ...) of sensors without offset on tables at rest."""
         s, shown = self.layout.readings_count, self.layout.sensing
         return SensorMemory(
-            np.zeros((lanes, s)),
             np.zeros((lanes, s)),
             np.zeros(lanes),
             np.zeros((lanes, shown.history, s + shown.last_action)),
@@ -86,12 +88,12 @@ class Measurement:
     def signals(
         self, state: Array, table_acceleration: Array, base_shear: Array, floors: Array | None
     ) -> Array:
-        """Return what the sensors are held against, (..., s) in SI.
+        """Return what the sensors sample, (..., s) in SI, behind the low-passes.
 
         Parameters
         ----------
         state
-            (..., 4 or more) the table's state, x_A first.
+            (..., states) the table's state, x_A first.
         table_acceleration, base_shear
             (...) [m/s^2], [N] at the period's end.
         floors
@@ -99,9 +101,9 @@ class Measurement:
         """
         xp = array_api_compat.array_namespace(state)
         columns = []
-        for name in self.layout.reading_names:
-            if name in STATE_SIGNALS:
-                columns.append(state[..., STATE_SIGNALS[name]])
+        for name, place in zip(self.layout.reading_names, self.places.tolist(), strict=True):
+            if place >= 0:
+                columns.append(state[..., place])
             elif name == "table_acceleration":
                 columns.append(table_acceleration)
             elif name == "base_shear":
@@ -134,15 +136,14 @@ class Measurement:
             puts it there, once it has been shown.
         """
         xp = array_api_compat.array_namespace(signals)
-        filtered = memory.filtered + self.follow * (signals - memory.filtered)
-        reading = filtered + memory.bias + noise
+        reading = signals + memory.bias + noise
         error = self.rounded * (xp.round(reading / self.resolution) * self.resolution - reading)
         if hasattr(error, "detach"):
             # Rounding has no slope; learning through the plant takes it for an error that is given
             # (the straight-through estimator, Bengio et al. 2013).
             error = error.detach()
         scaled = (reading + error) / self.scale
-        return scaled, replace(memory, filtered=filtered, action=action)
+        return scaled, replace(memory, action=action)
 
     def remember(self, memory: SensorMemory, readings: Array) -> SensorMemory:
         """Return the memory with `readings` (..., s), already shown, as the newest of the history."""

@@ -73,7 +73,7 @@ class Simulation:
             model=self.model,
             maps=maps,
             lanes=lanes,
-            preview=scenario.sensing.preview_steps(period, scenario.physics_step),
+            preview=scenario.sensing.preview_steps(scenario.physics_step),
             limit_rate=scenario.limits.cost_factor * scenario.stage_cost.motionless(scenario.plant),
             limit_steps=math.inf if horizon is None else max(1, round(horizon / period)),
             threads=threads,
@@ -248,6 +248,15 @@ def _engine(tables: Tables) -> Engine:
         return ReferenceEngine(tables)
     engine: Engine = compiled.CompiledEngine(tables)
     return engine
+
+
+def earthquake_stream(seed: int) -> np.random.Generator:
+    """Return the stream of the episode that is a seed's earthquake: motion, plant and every noise.
+
+    The one map from seeds to earthquakes. The protocol's earthquake S and the first episode after
+    ``reset(seed=S)`` of an environment are both this.
+    """
+    return np.random.default_rng(seed)
 
 
 def stream_array(streams: Iterable[np.random.Generator | None]) -> NDArray[Any]:

@@ -68,10 +68,10 @@ class Recorder:
         current, state = np.stack(self._current), np.stack(self._state)
         reference = np.stack(self._reference)
         substeps = signals.shape[-1] // len(current)
-        found = {}
+        trajectories = {}
         for row, (lane, steps) in enumerate(zip(self._lanes, self._steps.tolist(), strict=True)):
             target, table, reference_shear, shear = signals[:, row, : steps * substeps]
-            found[lane] = Trajectory(
+            trajectories[lane] = Trajectory(
                 time=physics_step * np.arange(1, len(target) + 1, dtype=np.float64),
                 target_acceleration=target,
                 table_acceleration=table,
@@ -82,4 +82,4 @@ class Recorder:
                 state=state[:steps, row],
                 reference=reference[:steps, row],
             )
-        return found
+        return trajectories

@@ -206,7 +206,7 @@ def _model(scenario: Scenario) -> TableModel:
         layout.filter_states,
         layout.controlled.stop - layout.controlled.start,
         floors_of(scenario),
-        Measurement.of(scenario.observation, scenario.control_period),
+        Measurement.of(scenario),
     )
 
 
@@ -220,7 +220,9 @@ def floors_of(scenario: Scenario) -> FloatArray | None:
 
 def dynamics_of(scenario: Scenario) -> TableDynamics | NonlinearDynamics:
     """Return the update of a scenario's table: the lifted linear one where nothing else is needed."""
-    if scenario.nonlinearity.active or scenario.delay or scenario.uncertainty.active:
+    low_passes = scenario.observation.low_passes
+    active = scenario.nonlinearity.active or scenario.uncertainty.active
+    if active or scenario.delay or low_passes:
         return NonlinearDynamics.of(
             scenario.plant,
             scenario.parts,
@@ -228,5 +230,6 @@ def dynamics_of(scenario: Scenario) -> TableDynamics | NonlinearDynamics:
             scenario.substeps,
             delay=scenario.delay,
             longest_delay=scenario.longest_delay,
+            low_passes=low_passes,
         )
     return TableDynamics.of(scenario.discrete)

@@ -18,7 +18,7 @@ from shake_env import (
 )
 from shake_env.env import INFO_KEYS
 from shake_env.rollout import noise_earthquakes, rollout
-from shake_env.simulation.simulation import Simulation
+from shake_env.simulation.simulation import Simulation, earthquake_stream
 
 
 def test_make():
@@ -150,7 +150,7 @@ def test_observation_is_the_scaled_full_state_and_info_is_si():
     env = ShakeTableEnv(scenario)
     env.reset(seed=11)
     simulation = Simulation(scenario, 1)
-    simulation.start([0], np.random.default_rng(11).spawn(1))
+    simulation.start([0], [earthquake_stream(11)])
     for action in push(1, 100)[:, 0]:
         observation, reward, _, _, info = env.step(action)
         result = simulation.step(action.astype(float))

@@ -18,6 +18,7 @@ from shake_env import (
 from shake_env.env import ShakeTableEnv
 from shake_env.errors import ActionError, ParameterError
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
+from shake_env.vector_env import ShakeTableVectorEnv
 
 QUAKES = [
     Earthquake("noise", FilteredNoise(duration=2.0), seed=1),
@@ -249,3 +250,38 @@ def test_recorded_earthquakes_are_prepared_as_the_scenarios_own_record():
     pressed = recorded_earthquakes(make_scenario("linear", options))
     assert [quake.motion.record for quake in pressed] == list(RECORD_NAMES)
     assert {(quake.motion.time_compression, quake.motion.duration) for quake in pressed} == {(2.0, 4.0)}
+
+
+@pytest.mark.parametrize("name", ["linear", "laboratory", "unknown-specimen", "records"])
+def test_a_seeded_reset_gives_the_protocols_earthquake(name):
+    """Single and vector: motion, drawn plant, offsets and noise are those of the roll-out."""
+    seed, steps = 4_000_007, 40
+    scenario = make_scenario(name)
+    quakes = [Earthquake(f"noise {s}", scenario.motion, s) for s in (seed, seed + 1)]
+    runs = rollout(Push(0.1), scenario, quakes, record=[0, 1])[1]
+    many = ShakeTableVectorEnv(2, scenario)
+    shown = [many.reset(seed=seed)[0]]
+    many_info = [many.step(np.full((2, 1), 0.1, np.float32)) for _ in range(steps)]
+    for lane in range(2):
+        env = ShakeTableEnv(scenario)
+        first, _ = env.reset(seed=seed + lane)
+        np.testing.assert_array_equal(shown[0][lane], first)
+        for t in range(steps):
+            observation, reward, *_, info = env.step(np.array([0.1], np.float32))
+            np.testing.assert_allclose(many_info[t][0][lane], observation, rtol=1e-5, atol=1e-5)
+            assert many_info[t][1][lane] == pytest.approx(reward, rel=1e-6)
+            for field in ("target_acceleration", "table_acceleration", "base_shear"):
+                ours = getattr(runs[lane], field)[5 * (t + 1) - 1]
+                assert info[field] == pytest.approx(ours, rel=1e-6, abs=1e-9)
+        # The next episode is another one, and the same after every reset with this seed.
+        push = np.array([0.1], np.float32)
+        again = []
+        for own in (None, seed + lane, None):
+            env.reset(seed=own)
+            again.append(env.step(push)[0])
+        np.testing.assert_allclose(again[1], many_info[0][0][lane], rtol=1e-5, atol=1e-5)
+        assert not np.allclose(again[0], again[1], rtol=1e-3)
+        if not lane and name == "linear":
+            env.reset(seed=seed)
+            env.reset()
+            np.testing.assert_array_equal(env.step(push)[0], again[2])

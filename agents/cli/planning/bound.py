@@ -46,9 +46,7 @@ class Bound(FolderOptions):
         folder = self.results_folder("bound")
         with progress_bar() as bar:
             task = bar.add_task(f"bound, {scenario.name}", total=1.0)
-            result, optima = bound_of(
-                scenario, first, end, lambda share: bar.update(task, completed=share)
-            )
+            result = bound_of(scenario, first, end, lambda share: bar.update(task, completed=share))
         rows = [
             (
                 name,
@@ -72,8 +70,11 @@ class Bound(FolderOptions):
         causal = result["causal_bound"]
         console.print(f"causal bound: {causal['text']}", highlight=False)
         if folder is not None:
-            from agents.reporting.bound_figure import draw_optimum
+            from agents.evaluation.bound import seeded_earthquakes
+            from agents.reporting.figures.bound import draw_optimum
+            from baselines.planning.bound import optimal_episodes
 
-            for path in draw_optimum(optima[0], folder):
+            quakes = seeded_earthquakes(scenario, first, first + 1)
+            for path in draw_optimum(optimal_episodes(scenario, quakes)[0], folder):
                 console.print(f"wrote {path}")
         return result

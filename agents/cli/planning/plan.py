@@ -41,7 +41,7 @@ class Plan(FolderOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Plan, write, draw."""
-        from agents.reporting.bound_figure import draw_plan
+        from agents.reporting.figures.bound import draw_plan
         from baselines.planning.planned import plan_records
         from shake_env.records import RECORD_NAMES
         from shake_env.rollout import recorded_earthquakes
@@ -88,7 +88,9 @@ class Plan(FolderOptions):
                 title = f"{plan.name}: planned, stage cost {plan.cost:.4g}"
                 steps = (scenario.physics_step, scenario.control_period)
                 wanted = (plan.target, plan.shear)
-                drawn = draw_plan(title, wanted, plan.response, plan.current, steps, folder, stem)
+                drawn = draw_plan(
+                    title, wanted, plan.response, plan.current, steps, folder, stem, scenario.input_unit
+                )
                 for path in drawn:
                     console.print(escape(f"wrote {path}"))
         return result

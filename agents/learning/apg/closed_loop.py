@@ -1,7 +1,7 @@
 """The closed loop of N tables over a window in numpy, with its derivative by a reverse sweep.
 
 Between two periods of the plant everything that the loop does is linear, apart from the clip of the
-action and the rounding of readings: low-passes, observation, estimator and the law on the estimate.
+action and the rounding of readings: observation, estimator and the law on the estimate.
 These are one matrix, made by running the scenario's own sensors and estimator on a basis, so that it
 repeats no equation. A period is then a few products and one compiled period of the plant. The reverse
 sweep is their transposes and the plant's adjoint (Griewank and Walther, Evaluating Derivatives, 2008,
@@ -126,7 +126,6 @@ class ClosedLoop:
         acceleration, shear = np.empty((steps, lanes, k)), np.empty((steps, lanes, k))
         correction, total = np.empty((steps, lanes)), np.empty((steps, lanes))
         known = kept = start.law
-        filtered = start.sensors.filtered
         past = start.sensors.past.reshape(lanes, -1)
         for t in range(steps):
             begun[t] = state
@@ -141,12 +140,11 @@ class ClosedLoop:
             alive[t] = finite
             state = np.where(finite[:, None], ends[t], 0.0)
             row = inputs[t]
-            row[:, columns["state"]] = state[:, : model.controlled]
+            row[:, columns["state"]] = state[:, columns["state"]]
             row[:, columns["acceleration"]] = acceleration[t, :, -1:]
             row[:, columns["shear"]] = shear[t, :, -1:]
             if self._floors:
                 row[:, columns["floors"]] = model.floors(state)
-            row[:, columns["filtered"]] = filtered
             row[:, columns["past"]] = past
             row[:, columns["action"]] = action[:, None]
             if self.law is not None:
@@ -161,12 +159,12 @@ class ClosedLoop:
                 shown[t + 1, :, rows["observation"].stop - rows["observation"].start :] = made[
                     :, rows["belief"]
                 ]
-            filtered, past = made[:, rows["filtered"]], made[:, rows["past"]]
+            past = made[:, rows["past"]]
             observation = made[:, rows["observation"]]
             shown[t + 1, :, : observation.shape[1]] = observation
         begun[steps] = state
         history = past.reshape(start.sensors.past.shape)
-        sensors = SensorMemory(filtered, start.sensors.bias, total[-1].clip(-1.0, 1.0), history)
+        sensors = SensorMemory(start.sensors.bias, total[-1].clip(-1.0, 1.0), history)
         return Passage(begun, ends, acceleration, shear, correction, total, shown, alive, sensors, kept)
 
     def sweep(
@@ -212,9 +210,8 @@ class ClosedLoop:
                 known, kept = _forget(law, back[:, columns["law"]])
                 out[:, rows["law"]] = known
                 action += kept
-            out[:, rows["filtered"]] = back[:, columns["filtered"]]
             out[:, rows["past"]] = back[:, columns["past"]]
-            state[:, : model.controlled] += back[:, columns["state"]]
+            state[:, columns["state"]] += back[:, columns["state"]]
             if self._floors:
                 assert model.floor_rows is not None
                 width_floors = model.floor_rows.shape[-1]
@@ -250,7 +247,7 @@ class ClosedLoop:
     def _rounding(self, made: FloatArray, row: FloatArray) -> FloatArray:
         """Return what rounding adds to the readings (N, s) [SI]; it has no derivative."""
         measurement = self.model.measurement
-        reading = made[:, self.signals.rows["filtered"]] + row[:, self.signals.columns["added"]]
+        reading = made[:, self.signals.rows["signals"]] + row[:, self.signals.columns["added"]]
         rounded = np.round(reading / measurement.resolution) * measurement.resolution
         error: FloatArray = measurement.rounded * (rounded - reading)
         return error

@@ -19,8 +19,8 @@ from shake_env.simulation.transition import TableModel
 class Signals:
     """From a period's end to what is shown and remembered, as one matrix.
 
-    Columns: ``[state, y_A, f_s, floors, low-passes, bias + noise + rounding, history, action, memory]``
-    and then the exogenous ``[filter state, reference, preview]``. Rows: ``[low-passes, history,
+    Columns: ``[state, y_A, f_s, floors, bias + noise + rounding, history, action, memory]`` and then the
+    exogenous ``[filter state, reference, preview]``. Rows: ``[readings without what is added, history,
     observation, estimate and rest of the law's memory, belief, innovation]``; the innovation's share of
     estimate and belief comes with the estimator's gain, which depends on the age of an episode.
     """
@@ -45,8 +45,8 @@ class Signals:
         s, stories = layout.readings_count, layout.plant.specimen.stories
         rest = measurement.rest(1)
         widths = {
-            "state": model.controlled, "acceleration": 1, "shear": 1,
-            "floors": stories * measures_floors(model), "filtered": s, "added": s,
+            "state": max(model.controlled, 1 + int(np.max(measurement.places, initial=0))),
+            "acceleration": 1, "shear": 1, "floors": stories * measures_floors(model), "added": s,
             "past": rest.past[0].size, "action": 1, "law": law.size if law else 0,
             "ground": model.filter_states, "reference": 2 * stories, "preview": layout.preview_samples,
         }  # fmt: skip
@@ -62,15 +62,18 @@ class Signals:
             part["preview"] if layout.preview_samples else None,
         )  # fmt: skip
         memory = SensorMemory(
-            part["filtered"], np.zeros((batch, s)), np.zeros(batch),
-            part["past"].reshape(batch, *rest.past.shape[1:]),
+            np.zeros((batch, s)), np.zeros(batch), part["past"].reshape(batch, *rest.past.shape[1:])
         )  # fmt: skip
+        floors = part["floors"] if widths["floors"] else None
         observation, memory = exact.look(
-            response, part["floors"] if widths["floors"] else None, ground, part["action"][:, 0],
-            memory, part["added"],
-        )  # fmt: skip
+            response, floors, ground, part["action"][:, 0], memory, part["added"]
+        )
+        signals = np.zeros((batch, 0))
+        if s:
+            last = (part["state"], part["acceleration"][:, 0], part["shear"][:, 0])
+            signals = measurement.signals(*last, floors)
         made = {
-            "filtered": memory.filtered,
+            "signals": signals,
             "past": memory.past.reshape(batch, -1),
             "observation": observation,
         }

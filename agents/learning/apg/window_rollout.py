@@ -148,10 +148,12 @@ class WindowRollout:
             segment again. Memory is then that of one segment and of H / segment states, least near
             sqrt(H), for one more forward pass. 0: everything is kept.
         parameters
-            What `act` depends on and the sweep takes gradients along; empty: torch follows the tables.
+            What `act` depends on and the sweep takes gradients along; empty, or with segments: torch
+            follows the tables.
         """
         simulation = self.env.simulation
-        if parameters and recalled is None and (loop := self.loop) is not None:
+        # The sweep in numpy keeps the whole window, so that segments are torch's.
+        if parameters and not segment and recalled is None and (loop := self.loop) is not None:
             return self._follow_in_numpy(loop, act, steps, parameters)
         ground, noise = self._ahead(steps)
         ahead = _Ahead(

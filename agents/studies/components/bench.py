@@ -262,12 +262,12 @@ def sinusoidal_table(
     last = np.stack(states[-samples - 1 :])
     acceleration, shear = np.stack(accelerations[-samples - 1 :]), np.stack(shears[-samples - 1 :])
     a, velocity = bench.plant.actuator, last[..., TABLE_VELOCITY]
-    found = a.table_mass * acceleration + a.table_damping * velocity
-    found = found + a.table_stiffness * last[..., TABLE_DISPLACEMENT]
-    found = found - a.piston_area * last[..., LOAD_PRESSURE] - shear
+    force = a.table_mass * acceleration + a.table_damping * velocity
+    force = force + a.table_stiffness * last[..., TABLE_DISPLACEMENT]
+    force = force - a.piston_area * last[..., LOAD_PRESSURE] - shear
     own_time = step * np.arange(samples + 1, dtype=np.float64)
     return TablePeriod(
-        own_time, last[..., TABLE_DISPLACEMENT], velocity, acceleration, found,
+        own_time, last[..., TABLE_DISPLACEMENT], velocity, acceleration, force,
         np.asarray([_falls(own_time, v) for v in velocity.T]),
     )  # fmt: skip
 

@@ -40,19 +40,19 @@ def components(bench: ComponentSetup, folder: Path | None) -> dict[str, Any]:
     own = sinusoidal_table(bench, law)
     coulomb = Friction(coulomb=law.coulomb, smoothing_velocity=law.smoothing_velocity)
     tables = sinusoidal_table(bench, coulomb, LEVELS)
-    found = {
+    measured = {
         "yielding": yielding_numbers(bench, storey),
         "friction": friction_numbers(bench, own, tables),
         "valve": valve_numbers(bench),
     }
     if folder is None:
-        return found
+        return measured
     numbers = folder / "components.json"
-    write_text(numbers, json.dumps(found, indent=1, allow_nan=False) + "\n")
+    write_text(numbers, json.dumps(measured, indent=1, allow_nan=False) + "\n")
     paths = [numbers, *yielding_figure(bench, storey, folder)]
     paths += friction_figure(bench, own, tables, folder)
     paths += valve_figure(bench, folder)
-    return found | {"files": [str(path) for path in paths]}
+    return measured | {"files": [str(path) for path in paths]}
 
 
 def yielding_numbers(bench: ComponentSetup, loop: StoreyLoop) -> dict[str, Any]:
@@ -138,9 +138,9 @@ def valve_numbers(bench: ComponentSetup) -> dict[str, Any]:
     }
 
 
-def print_numbers(found: dict[str, Any], console: Console) -> None:
+def print_numbers(numbers: dict[str, Any], console: Console) -> None:
     """Print the key numbers in a laboratory's units."""
-    y, f, v = found["yielding"], found["friction"], found["valve"]
+    y, f, v = numbers["yielding"], numbers["friction"], numbers["valve"]
     console.print(
         f"Storey: k {1e-3 * y['stiffness']:.1f} kN/m, then {y['stiffness_ratio']:g} k; yields at "
         f"{1e3 * y['yield_drift']:g} mm and {y['yield_force']:.0f} N."

@@ -158,11 +158,11 @@ def sweep(
 def _crossings(weights: FloatArray, values: FloatArray, level: float) -> list[float]:
     """Return the weights at which `values` cross `level`, interpolated between logarithms of weight."""
     above = values > level
-    found = []
+    crossings = []
     for i in np.flatnonzero(above[1:] != above[:-1]):
         part = (level - values[i]) / (values[i + 1] - values[i])
-        found.append(float(weights[i] * (weights[i + 1] / weights[i]) ** part))
-    return found
+        crossings.append(float(weights[i] * (weights[i + 1] / weights[i]) ** part))
+    return crossings
 
 
 def sampled_plant(plant: CoupledPlant, rate: float = 200.0) -> DiscretePlant:

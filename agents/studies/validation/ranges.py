@@ -89,13 +89,13 @@ class MotionCheck:
 
 def check_ranges(peaks: Mapping[str, float]) -> tuple[Check, ...]:
     """Compare peaks (SI, by quantity) with `RANGES`; a quantity that is missing is left out."""
-    found = []
+    checks = []
     for known in RANGES:
         if known.quantity not in peaks:
             continue
         peak = float(peaks[known.quantity])
         over_limit, over_rated = not peak <= known.limit, not peak <= known.rated
-        found.append(
+        checks.append(
             Check(
                 quantity=known.quantity,
                 unit=known.unit,
@@ -107,7 +107,7 @@ def check_ranges(peaks: Mapping[str, float]) -> tuple[Check, ...]:
                 factor_to_limit=known.limit / peak if peak > 0.0 else None,
             )
         )
-    return tuple(found)
+    return tuple(checks)
 
 
 def check_motion(

@@ -97,10 +97,10 @@ def _orders(values: FloatArray, chosen: int) -> list[int]:
 def _row(full: StateSpace, order: int, norm: float) -> dict[str, Any]:
     row: dict[str, Any] = {"order": order}
     for method, match in METHODS.items():
-        found = balanced_truncation(full, order, match)
-        row["bound"] = found.error_bound / norm
-        row[f"error_{method}"] = h_infinity_norm(full, found.system)[0] / norm
-        row[f"fastest_pole_{method}"] = float(np.max(np.abs(np.linalg.eigvals(found.system.A))))
+        truncation = balanced_truncation(full, order, match)
+        row["bound"] = truncation.error_bound / norm
+        row[f"error_{method}"] = h_infinity_norm(full, truncation.system)[0] / norm
+        row[f"fastest_pole_{method}"] = float(np.max(np.abs(np.linalg.eigvals(truncation.system.A))))
     return row
 
 

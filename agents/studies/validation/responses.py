@@ -28,6 +28,7 @@ from shake_env.rollout import (
 from shake_env.scenario.limits import Limits
 from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.excitation import Excitation
+from shake_env.simulation.simulation import earthquake_stream
 from shake_env.simulation.trajectory import Trajectory
 
 HIGHPASS = 0.5  # [Hz] of the third group: without it the target's displacement has no bound
@@ -49,17 +50,17 @@ class Group:
 def groups(scenario: Scenario, noise: int) -> list[Group]:
     """Return records, filtered noise, and enveloped filtered noise with a high-passed ground filter."""
     free = replace(scenario, limits=Limits(), current_limit=UNCLIPPED)
-    found = [Group("records", free, recorded_earthquakes(free))]
+    group_list = [Group("records", free, recorded_earthquakes(free))]
     if noise == 0:
-        return found
-    found.append(Group("filtered noise", free, noise_earthquakes(free, noise, VALIDATION_SEED)))
+        return group_list
+    group_list.append(Group("filtered noise", free, noise_earthquakes(free, noise, VALIDATION_SEED)))
     if scenario.ground.highpass_frequency is None:
         ground = replace(scenario.ground, highpass_frequency=HIGHPASS)
         motion = free.motion if isinstance(free.motion, FilteredNoise) else FilteredNoise()
         highpassed = replace(free, ground=ground, motion=replace(motion, envelope=Envelope()))
         quakes = noise_earthquakes(highpassed, noise, VALIDATION_SEED + noise)
-        found.append(Group("high-passed noise", highpassed, quakes))
-    return found
+        group_list.append(Group("high-passed noise", highpassed, quakes))
+    return group_list
 
 
 def gains(scenario: Scenario) -> dict[str, FloatArray]:
@@ -91,14 +92,14 @@ def sampled_responses(group: Group, gain: FloatArray) -> list[Motion]:
         group.earthquakes,
         record=range(len(group.earthquakes)),
     )
-    found = []
+    responses = []
     for i, quake in enumerate(group.earthquakes):
         trace = traces[i]
         states = physics_states(scenario, quake, trace)
         stories = scenario.specimen.stories
         table, floors = states[:, :4], states[:, 4 : 4 + stories]
         reference = states[:, 4 + 2 * stories : 4 + 3 * stories]
-        found.append(
+        responses.append(
             Motion(
                 quake.name,
                 trace.time,
@@ -117,7 +118,7 @@ def sampled_responses(group: Group, gain: FloatArray) -> list[Motion]:
                 },
             )
         )
-    return found
+    return responses
 
 
 def largest_drift(floors: FloatArray) -> FloatArray:
@@ -154,7 +155,7 @@ def smooth_target(scenario: Scenario, quake: Earthquake, samples: int) -> FloatA
     fine = replace(scenario, control_rate=1.0 / step)
     ground = scenario.ground
     excitation = Excitation(fine.discrete, 1, finer=scenario.substeps)
-    key = episode_key(np.random.default_rng(quake.seed))
+    key = episode_key(earthquake_stream(quake.seed))
     excitation.start([0], [quake.motion], [key])
     velocity = np.zeros(samples + 1)
     for j in range(samples):
@@ -196,11 +197,11 @@ def physics_states(scenario: Scenario, quake: Earthquake, trace: Trajectory) -> 
 
 def continuous_loops(scenario: Scenario) -> dict[str, ContinuousClosedLoop]:
     """Return the closed loops of the paper's two weightings, by the number of its table."""
-    found = {}
+    loops = {}
     for table, (q_1, q_2) in WEIGHTS.items():
         design = continuous_lqr(scenario.plant, q_1=q_1, q_2=q_2)
-        found[table] = closed_loop(scenario.plant, design.gain)
-    return found
+        loops[table] = closed_loop(scenario.plant, design.gain)
+    return loops
 
 
 def continuous_name(table: str) -> str:
@@ -213,14 +214,14 @@ def continuous_response(
 ) -> tuple[Motion, Response]:
     """Return what the full closed loop makes of a target (samples,) at the physics step."""
     step, ground = scenario.physics_step, loop.plant.ground
-    found = forced_response(loop.system, ground, target, step, loop.index["table_velocity"])
-    signals = {name: found.outputs[:, i] for name, i in loop.index.items() if "drift" not in name}
+    response = forced_response(loop.system, ground, target, step, loop.index["table_velocity"])
+    signals = {name: response.outputs[:, i] for name, i in loop.index.items() if "drift" not in name}
     signals |= {
-        "table_displacement": found.displacement,
-        "storey_drift": _largest(found.outputs, loop, "drift_"),
-        "reference_drift": _largest(found.outputs, loop, "reference_drift_"),
+        "table_displacement": response.displacement,
+        "storey_drift": _largest(response.outputs, loop, "drift_"),
+        "reference_drift": _largest(response.outputs, loop, "reference_drift_"),
     }
-    return Motion(name, step * np.arange(len(target), dtype=np.float64), signals), found
+    return Motion(name, step * np.arange(len(target), dtype=np.float64), signals), response
 
 
 def _largest(outputs: FloatArray, loop: ContinuousClosedLoop, prefix: str) -> FloatArray:
@@ -238,6 +239,6 @@ def reduced_response(
 ) -> Response:
     """Return the response of a reduced model, in SI like the full one's columns of `outputs`."""
     place = list(outputs).index("table_velocity")
-    found = forced_response(reduction.system, loop.plant.ground, target, scenario.physics_step, place)
+    response = forced_response(reduction.system, loop.plant.ground, target, scenario.physics_step, place)
     sizes = loop.sizes[[loop.index[name] for name in outputs]]
-    return Response(found.outputs * sizes, found.displacement * sizes[place], found.noise)
+    return Response(response.outputs * sizes, response.displacement * sizes[place], response.noise)

@@ -86,16 +86,16 @@ def validate(
     differences: list[dict[str, Any]] = []
     shown: dict[str, Motion] = {}
     for group in groups(scenario, noise):
-        found = _run_group(group, loops if group.scenario.ground == scenario.ground else None)
-        for controller, motions in found.motions.items():
+        outcome = _run_group(group, loops if group.scenario.ground == scenario.ground else None)
+        for controller, motions in outcome.motions.items():
             for motion in motions:
                 checks.append(check_motion(controller, group.name, motion.name, motion.signals))
                 if motion.name == SHOWN:
                     shown[controller] = motion
-        differences += found.differences
-        if found.reduced_shown:
-            shown |= found.reduced_shown
-        done(f"{group.name}: {len(group.earthquakes)} motions under {len(found.motions)} controllers")
+        differences += outcome.differences
+        if outcome.reduced_shown:
+            shown |= outcome.reduced_shown
+        done(f"{group.name}: {len(group.earthquakes)} motions under {len(outcome.motions)} controllers")
 
     results: dict[str, Any] = {
         "source": "Gavin and Hoagg, Control Objectives for Seismic Simulators, ACC 2009, section V-B",

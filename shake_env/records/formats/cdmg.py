@@ -132,15 +132,17 @@ def _uncorrected(
     shifted = _without_first_column(source, index, rows) if wide else source
     pairs = shifted.fields(0 if wide else index, 2 * points, 2 * _PAIRS, 7).reshape(-1, 2)
     time, values = pairs[:, 0], unit.to_si(pairs[:, 1])
-    for line, found in lengths:
-        if found:
-            length = value_in(source, line, found[0], "a number of seconds")
+    for line, values_of_line in lengths:
+        if values_of_line:
+            length = value_in(source, line, values_of_line[0], "a number of seconds")
             check_length(source, line, points, (time[-1] - time[0]) / (points - 1), length)
     for phrase in (("max",), ("max.",)):
-        line, found = _find(source, texts, *phrase, must=False)
-        if len(found) > 1 and number(found[0]) is not None:
+        line, values_of_line = _find(source, texts, *phrase, must=False)
+        if len(values_of_line) > 1 and number(values_of_line[0]) is not None:
             place = source.place(line)
-            check_peak_about_any_mean(place, found[0], settle_unit(place, found[1], None), values)
+            check_peak_about_any_mean(
+                place, values_of_line[0], settle_unit(place, values_of_line[1], None), values
+            )
     _check_scale(source, texts, values)
     acceleration, step, remark = _evenly(source, index, time, values, sampling_interval)
     return acceleration, step, unit, index + rows, remark
@@ -159,14 +161,14 @@ def _without_first_column(source: SourceText, first: int, rows: int) -> SourceTe
 
 def _check_scale(source: SourceText, texts: range, values: FloatArray) -> None:
     """Refuse a root mean square (``RMS ACCLN OF COMPLETE RECORD = .400 G/10``) of another scale."""
-    line, found = _find(source, texts, "complete", "record", must=False)
-    if len(found) < 2 or number(found[0]) is None:
+    line, words = _find(source, texts, "complete", "record", must=False)
+    if len(words) < 2 or number(words[0]) is None:
         return
-    tenth = found[1].lower() in _TENTH
-    unit = settle_unit(source.place(line), "g" if tenth else found[1], None)
-    digit = 10.0 ** -len(found[0].partition(".")[2])
+    tenth = words[1].lower() in _TENTH
+    unit = settle_unit(source.place(line), "g" if tenth else words[1], None)
+    digit = 10.0 ** -len(words[0].partition(".")[2])
     stated, digit = (float(unit.to_si(np.asarray(v))) / (10.0 if tenth else 1.0)
-                     for v in (float(found[0]), digit))  # fmt: skip
+                     for v in (float(words[0]), digit))  # fmt: skip
     rms = float(np.sqrt(np.mean(values**2)))
     if not (stated - digit) / _SCALE <= rms <= (stated + digit) * _SCALE:
         raise source.error(line, f"the data's own root mean square is {rms:.4g} m/s^2")
@@ -212,17 +214,17 @@ def _corrected(
     rows = -(-points // 8)
     blocks: list[FloatArray] = []
     for kind in ("acceleration", "velocity", "displacement"):
-        line, found = _find(source, texts, "peak", kind)
-        if len(found) < 2 or number(found[0]) is None:
+        line, values_of_line = _find(source, texts, "peak", kind)
+        if len(values_of_line) < 2 or number(values_of_line[0]) is None:
             raise source.error(line, "expected a peak and its unit")
         width = len(source.line(index)[:LONGEST_LINE].rstrip()) // 8
         values = source.fields(index, points, 8, width)
         place = source.place(line)
         if kind == "acceleration":
-            unit = settle_unit(place, found[1].lower().replace("cms", "cm"), units)
-            check_peak(place, found[0], unit, unit.to_si(values))
+            unit = settle_unit(place, values_of_line[1].lower().replace("cms", "cm"), units)
+            check_peak(place, values_of_line[0], unit, unit.to_si(values))
         else:
-            _check_block(source, line, found[0], values)
+            _check_block(source, line, values_of_line[0], values)
         blocks.append(values)
         index += rows
     return unit.to_si(blocks[0]), step, unit, index, (("not read", "velocity, displacement"),)

@@ -176,8 +176,8 @@ def _read_block(source: SourceText, index: int, kind: str, width: int) -> _Block
 
 def _station_channel(source: SourceText, lines: range) -> int | None:
     """Return the station's number of a channel, where the header states it beside the recorder's."""
-    found = _search(source, _STATION_CHANNEL, lines)
-    return int(found[1][1][:9]) if found else None
+    match = _search(source, _STATION_CHANNEL, lines)
+    return int(match[1][1][:9]) if match else None
 
 
 def _after(source: SourceText, index: int, channel: int, station_channel: int | None) -> int:
@@ -239,19 +239,19 @@ def _record(
 
 def _check_header(source: SourceText, lines: range, points: int, interval: float) -> None:
     """Refuse a channel whose header and block disagree about count, step or length."""
-    if found := _search(source, _POINTS, lines):
-        stated = found[1][1] or found[1][2]
+    if match := _search(source, _POINTS, lines):
+        stated = match[1][1] or match[1][2]
         if int(stated[:18]) != points:
-            raise source.error(found[0], f"the block below states {points} points", f"{stated} points")
+            raise source.error(match[0], f"the block below states {points} points", f"{stated} points")
     for pattern, rate in ((_RATE, True), (_SPACING, False)):
-        if (found := _search(source, pattern, lines)) and (value := float(found[1][1])) > 0.0:
+        if (match := _search(source, pattern, lines)) and (value := float(match[1][1])) > 0.0:
             step = 1.0 / value if rate else value
             if abs(step - interval) > 1e-6 * interval:
                 raise source.error(
-                    found[0], f"the block below states a step of {interval:g} s", f"step {step:g} s"
+                    match[0], f"the block below states a step of {interval:g} s", f"step {step:g} s"
                 )
-    found = _search(source, _LENGTH, lines)
-    length = number(found[1][1]) if found else None
-    if found and length is not None and abs(points * interval - length) > 2.0 * interval + 1e-3:
+    match = _search(source, _LENGTH, lines)
+    length = number(match[1][1]) if match else None
+    if match and length is not None and abs(points * interval - length) > 2.0 * interval + 1e-3:
         remedy = f"{points} points at {interval:g} s last {points * interval:g} s"
-        raise source.error(found[0], remedy, f"Record Length {found[1][1]} sec")
+        raise source.error(match[0], remedy, f"Record Length {match[1][1]} sec")

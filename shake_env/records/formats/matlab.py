@@ -66,7 +66,7 @@ def parse_matlab(
         If the file cannot be read, the choice is not one, or what is chosen is no acceleration.
     """
     hdf5 = not data.startswith(b"MATLAB 5.0")
-    variables = dict(_flat(_hdf5(name, data) if hdf5 else Mat5(name, data, LARGEST_TABLE).variables))
+    variables = matlab_variables(name, data)
     arrays = {key: array for key, value in variables.items() if (array := _array(value)) is not None}
     chosen = _chosen(name, arrays, table)
     times = _times(arrays, chosen)
@@ -85,6 +85,20 @@ def parse_matlab(
     records = content.records(units, sampling_interval, column)
     label = f"MATLAB {'7.3' if hdf5 else '5'}, {', '.join(chosen)}"
     return naming(labelled(records, label), sorted(set(arrays) - set(chosen) - set(times)))
+
+
+def matlab_variables(name: str, data: bytes) -> Variables:
+    """Return every variable of a ``.mat`` file, and every field of a structure by its whole name.
+
+    Values are arrays of numbers, texts, or None for other classes.
+
+    Raises
+    ------
+    RecordError
+        If the file is damaged, holds more than `LARGEST_TABLE` numbers, or is 7.3 and h5py is missing.
+    """
+    hdf5 = not data.startswith(b"MATLAB 5.0")
+    return dict(_flat(_hdf5(name, data) if hdf5 else Mat5(name, data, LARGEST_TABLE).variables))
 
 
 def _hdf5(name: str, data: bytes) -> Variables:

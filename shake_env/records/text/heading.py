@@ -74,19 +74,19 @@ def _read_line(source: SourceText, index: int, heading: Heading, layout: Layout)
     comment = raw[0] in "#%"
     text = raw.lstrip("#%").strip()
     mark = ":" if ":" in text else "="
-    key, found, rest = (part.strip() for part in text.partition(mark))
-    if not comment and not (found and key[:1].isalpha()) and _is_data(text, layout):
+    key, separator, rest = (part.strip() for part in text.partition(mark))
+    if not comment and not (separator and key[:1].isalpha()) and _is_data(text, layout):
         raise source.error(index, "is not a row of numbers, and no title")
     plain = " ".join(key.lower().replace("_", " ").partition("(")[0].split())
     known = plain in (*_POINTS, *_STEP, *_RATE, *_UNITS)
-    if not found or (mark == "=" and not known):
+    if not separator or (mark == "=" and not known):
         key, rest, known = f"{'comment' if comment else 'header'} line {index + 1}", text, False
     if key in heading.entries:
         raise source.error(index, "says again what a line above says")
     heading.entries[key] = index, rest
     if known:
         _read_entry(source, index, plain, key, rest, heading)
-    elif plain_unit := _unit_of(text if not found or mark == "=" else ""):
+    elif plain_unit := _unit_of(text if not separator or mark == "=" else ""):
         _set_unit(source, index, plain_unit, heading)
 
 

@@ -62,19 +62,19 @@ class SourceText:
 
     def _indexed(self) -> Positions:
         """Return where every line whose number is a multiple of `_INDEXED` begins."""
-        found = [np.zeros(1, dtype=np.int64)]
+        offsets = [np.zeros(1, dtype=np.int64)]
         lines, last = 1, 0  # lines begun, where the last one begins
         for begin in range(0, len(self._codes), _BLOCK):
             starts = np.flatnonzero(self._codes[begin : begin + _BLOCK] == ord("\n")) + begin + 1
             lengths = np.diff(starts, prepend=last)
             if len(starts) and int(np.max(lengths)) > LONGEST_LINE:
                 self._refuse_length(lines + int(np.argmax(lengths)), int(np.max(lengths)))
-            found.append(starts[(lines + np.arange(len(starts))) % _INDEXED == 0])
+            offsets.append(starts[(lines + np.arange(len(starts))) % _INDEXED == 0])
             lines, last = lines + len(starts), int(starts[-1]) if len(starts) else last
         if len(self._codes) - last > LONGEST_LINE:
             self._refuse_length(lines, len(self._codes) - last)
         self._lines = lines
-        return np.concatenate(found)
+        return np.concatenate(offsets)
 
     def _refuse_length(self, line: int, length: int) -> NoReturn:
         remedy = f"a line may have {LONGEST_LINE} bytes: put the numbers on lines of their own"
@@ -278,8 +278,8 @@ class SourceText:
         for begin in range(0, rows, _ROWS_AT_ONCE):
             end = min(begin + _ROWS_AT_ONCE, rows)
             wanted = min(count, end * per_line) - begin * per_line
-            found = self._fields(first + begin, end - begin, wanted, per_line, width, form)
-            values[begin * per_line : begin * per_line + wanted] = found
+            block = self._fields(first + begin, end - begin, wanted, per_line, width, form)
+            values[begin * per_line : begin * per_line + wanted] = block
         return values
 
     def _fields(

@@ -82,8 +82,8 @@ def _parted(text: str) -> tuple[str, str | None]:
         if inside:
             return (text[: match.start()] + " " + text[match.end() :]).strip(), inside
     for mark in (",", "_", " in ", " "):
-        before, found, after = text.rpartition(mark)
-        quantity = quantity_of(after) if found else None
+        before, separator, after = text.rpartition(mark)
+        quantity = quantity_of(after) if separator else None
         if quantity and _kind_of_words(before) and (mark != "_" or len(after) > 0):
             return before.strip(" ,_"), after.strip()
     joined = _UNDERSCORED.fullmatch(text)

@@ -13,7 +13,7 @@ from agents.acceptance.required import RequiredSpectrum, ac156, ieee_693, read_r
 from agents.acceptance.rules import AcceptanceRules
 from agents.cli.commands import parse
 from agents.evaluation.fidelity import spectrum
-from agents.reporting.acceptance_figure import draw_acceptance
+from agents.reporting.figures.acceptance import draw_acceptance
 from shake_env.command_line import main
 from shake_env.errors import FileError, ParameterError
 from shake_env.model.parameters import GRAVITY

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from agents.__main__ import main
+from agents.evaluation.bound import optimal_cost
 from agents.evaluation.comparison import compare
-from agents.evaluation.protocol import Entry, evaluate, find_entry, optimal_cost, policy_files
+from agents.evaluation.protocol import Entry, evaluate, find_entry, policy_files
 from agents.evaluation.result_files import read_results, write_result
-from agents.evaluation.scores import cost_figures
+from agents.evaluation.scores import below_bound, cost_figures
 from agents.policies.policy_file import digest, load_policy
 from agents.policies.registry import shipped_policy
 from agents.reporting.evaluation_tables import markdown, put_tables
@@ -59,23 +60,31 @@ def test_costs_are_those_of_compare(scenario, result):
         np.testing.assert_allclose(result["episodes"][name]["cost"], expected, rtol=1e-5)
     row = next(row for row in result["rows"] if row["controller"] == "mine")
     lqr = np.sum([m.cost for m in found["lqr"]])
-    each = [np.sum([m.cost for m in found[run]]) / lqr for run in ("ppo", "apg")]
-    assert row["run_costs"] == pytest.approx(each, rel=1e-5)
-    assert row["relative_cost"]["value"] == pytest.approx(np.mean(each), rel=1e-5)
+    each = [np.sum([m.cost for m in found[run]]) for run in ("ppo", "apg")]
+    assert row["reference_cost"]["value"] == pytest.approx(np.mean(each) / lqr, rel=1e-5)
+    bound = np.sum(result["bound"]["costs"])
+    assert row["run_costs"] == pytest.approx(each / bound, rel=1e-5)
+    assert row["relative_cost"]["value"] == pytest.approx(np.mean(each) / bound, rel=1e-5)
     assert (row["runs"], row["episodes"], row["failures"]) == (2, 140, 0)
 
 
-def test_the_yardstick_of_a_linear_table_is_the_optimum(scenario, result):
+def test_a_linear_table_has_the_bound_and_the_causal_optimum(scenario, result):
     assert result["optimal_cost"] == sampled_lqr(scenario.discrete, scenario.stage_cost).analytic_cost
-    assert (result["normaliser"], result["reference"]) == ("lqr", "lqr")
+    assert (result["normaliser"], result["reference"]) == ("bound", "lqr")
+    assert result["causal_bound"]["cost"] == result["optimal_cost"] and result["bound"]["below"] == []
     by_name = {row["controller"]: row for row in result["rows"]}
-    assert by_name["lqr"]["relative_cost"] == {"value": 1.0, "low": 1.0, "high": 1.0}
+    assert by_name["lqr"]["reference_cost"] == {"value": 1.0, "low": 1.0, "high": 1.0}
+    assert by_name["lqr"]["relative_cost"]["low"] > 4.0  # causal, against everything known
+    assert by_name["lqr"]["regret_closed"] is None
     # Tables begin at rest: two seconds cost a little less than stationary ones.
     assert 0.9 < by_name["lqr"]["optimality"]["value"] < 1.05
     assert by_name["none"]["probability_of_improvement"]["value"] == 0.0
-    mine = by_name["mine"]["relative_cost"]
+    mine = by_name["mine"]["reference_cost"]
     assert mine["low"] < mine["value"] < mine["high"]
     assert 1.0 < mine["value"] < 1.1
+    text = markdown(result)
+    assert "cost / bound" in text and "cost / lqr" in text and "J* = " in text
+    assert "No controller costs less than the bound" in text
 
 
 def test_a_result_says_what_it_was_made_of(result, two_seeds):
@@ -110,35 +119,56 @@ def test_test_earthquakes_are_nobody_elses():
     assert min(np.diff(starts)) >= 1_000_000
 
 
-def test_an_unknown_specimen_is_measured_by_the_oracle():
+def test_an_unknown_specimen_is_measured_by_the_bound(monkeypatch):
+    monkeypatch.setattr("agents.evaluation.protocol.MOST_BOUNDS", 2)
     unknown = {"uncertainty.mass_ratio": [0.3, 0.7]}
     scenario = make_scenario("laboratory", {"duration": 2.0, "fields": unknown})
-    result = evaluate(scenario, [Entry("none")], earthquakes=3, repeats=False, resamples=50)
+    rows = [Entry("none"), Entry("oracle")]
+    result = evaluate(scenario, rows, earthquakes=3, repeats=False, resamples=50)
     assert (result["normaliser"], result["reference"], result["optimal_cost"]) == (
-        "oracle", "lqg", None,
+        "bound", "lqg", None,
     )  # fmt: skip
     by_name = {row["controller"]: row for row in result["rows"]}
-    cost = {name: np.mean(e["cost"]) for name, e in result["episodes"].items()}
-    for name in ("lqg", "none"):
-        expected = (cost["lqg"] - cost[name]) / (cost["lqg"] - cost["oracle"])
-        # A file's numbers have seven digits, and none's share is five hundred times the regret.
-        found = by_name[name]["regret_closed"]["value"]
-        assert found == pytest.approx(expected, abs=1e-5, rel=1e-5)
-    assert by_name["oracle"]["regret_closed"] is None
+    # The bound is of the first two alone; what is relative to it is of these.
+    cost = {name: np.mean(e["cost"][0][:2]) for name, e in result["episodes"].items()}
+    bound = np.mean(result["bound"]["costs"])
+    assert len(result["bound"]["costs"]) == 2 and "of the first 2 earthquakes" in markdown(result)
+    for name in ("lqg", "none", "oracle"):
+        expected = (cost["lqg"] - cost[name]) / (cost["lqg"] - bound)
+        # A file's numbers have seven digits, and none's share is hundreds of times the regret.
+        closed = by_name[name]["regret_closed"]["value"]
+        assert closed == pytest.approx(expected, abs=1e-5, rel=1e-5)
+        relative = by_name[name]["relative_cost"]["value"]
+        assert relative == pytest.approx(cost[name] / bound, rel=1e-5) and relative > 1.0
     assert by_name["oracle"]["decision_time"] is None
     assert by_name["none"]["drift_error"] is None
+    classes = {name: row["information"] for name, row in by_name.items()}
+    assert classes == {"lqg": "preview", "none": "causal", "oracle": "true plant"}
+    assert "| true plant \u2020 |" in markdown(result) and "best attained" in markdown(result)
 
 
-def test_no_regret_is_told_where_the_oracle_costs_more_than_the_reference():
+def test_without_a_bound_the_reference_is_the_normaliser():
+    scenario = make_scenario("as-printed", {"duration": 0.5})
+    result = evaluate(scenario, [Entry("none")], earthquakes=2, repeats=False, resamples=20)
+    assert (result["normaliser"], result["bound"]["costs"]) == ("lqr", [])
+    assert "corrected equations" in result["bound"]["reason"]
+    assert "Bound: none" in markdown(result) and "cost / lqr" in markdown(result)
+
+
+def test_a_cost_below_the_bound_is_reported_unless_the_starts_explain_it():
+    cost = [[0.9, 1.0, 2.0, 5.0], [1.1, 0.995, 1.9, 5.0]]
+    below = below_bound(cost, [1.0, 1.0, 2.0], [0.02, 0.02, 0.0])
+    assert [(each["run"], each["earthquake"]) for each in below] == [(0, 0), (1, 2)]
+    assert [each["ratio"] for each in below] == pytest.approx([0.9, 0.95])
+
+
+def test_no_regret_is_told_where_there_is_none():
     cheap, dear = np.full((1, 4), 1.0), np.full((1, 4), 2.0)
-    found = cost_figures(
-        np.full((1, 4), 1.5), normaliser=dear, reference=cheap, optimum=None, resamples=10
-    )
-    assert found["regret_closed"] is None
-    found = cost_figures(
-        np.full((1, 4), 1.5), normaliser=cheap, reference=dear, optimum=None, resamples=10
-    )
-    assert found["regret_closed"]["value"] == pytest.approx(0.5)
+    own = np.full((1, 4), 1.5)
+    figures = cost_figures(own, normaliser=dear, reference=cheap, optimum=None, resamples=10)
+    assert figures["regret_closed"] is None
+    figures = cost_figures(own, normaliser=cheap, reference=dear, optimum=None, resamples=10)
+    assert figures["regret_closed"]["value"] == pytest.approx(0.5)
 
 
 def test_the_optimum_with_preview_and_amplitude():
@@ -197,4 +227,4 @@ def test_the_command_writes_what_it_prints(tmp_path, capsys):
     assert json.loads(file.read_text()) == found
     assert found["scenario_options"] == {"scenario": "linear", "duration": 1.0}
     assert main([*words, "--output", str(file)]) == 0
-    assert re.search(r"\| ppo \| 1 \| [01]\.", capsys.readouterr().out)
+    assert re.search(r"\| ppo \| causal \| 1 \| \d+\.", capsys.readouterr().out)

@@ -29,7 +29,7 @@ SMALL = TrainConfig(
     ppo=PPOOptions(n_envs=4, n_steps=16, batch_size=64, n_epochs=1),
     net_arch=(8,),
     episode_duration=0.2,
-    total_timesteps=8_192,
+    total_timesteps=2_048,
     evaluations=1,
     evaluation_earthquakes=1,
     checkpoint_interval=1e-9,
@@ -75,7 +75,7 @@ def test_an_interrupted_campaign_ends_as_if_it_had_not_been(campaigned, tmp_path
     for one, two in zip((*whole.weights, *whole.biases), (*cut.weights, *cut.biases), strict=True):
         np.testing.assert_array_equal(one, two)
     assert cut.card["command"] == "shake run-experiments --experiments linear/ppo"
-    assert cut.card["curve"][-1][0] == 8_192
+    assert cut.card["curve"][-1][0] == 2_048
     assert seen[0] > seen[-1] == 0.0
 
 

@@ -100,7 +100,7 @@ def corrected(
     with torch.no_grad():
         generator = torch.Generator().manual_seed(0)
         weight = model.policy.action_net.weight
-        weight.copy_(0.005 * torch.randn(weight.shape, generator=generator))
+        weight.copy_(0.002 * torch.randn(weight.shape, generator=generator))
     return model, env
 
 

@@ -13,7 +13,7 @@ from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
 from agents.learning.features import feature_matrix
 from agents.learning.networks import LSTMPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
-from agents.policies.base_law import base_row
+from agents.policies.base_law import base_law, base_row
 from agents.policies.policy_file import load_policy
 from agents.policies.registry import shipped_policy
 from agents.training.algorithm_options import (
@@ -77,7 +77,7 @@ def test_a_file_with_a_memory_gives_the_action_that_sb3_gives(name, tmp_path):
     path = tmp_path / "policy.safetensors"
     export_policy(model, env, {"seed": 0}).save(path)
     policy = load_policy(path)
-    policy.check(scenario)
+    policy = policy.reading(scenario)
     rng = np.random.default_rng(0)
     state = expected_state = single_state = None
     for step in range(50):
@@ -142,11 +142,30 @@ def test_features_are_an_invertible_map_of_what_can_be_observed(stories):
 
 @pytest.mark.parametrize("name", ["laboratory", "unknown-specimen", "records"])
 def test_features_of_measured_signals_lose_nothing(name):
-    scenario = make_scenario(name)
+    scenario = make_scenario(name, {"fields": {"sensing.preview_spacing": 0.005}})
     matrix = feature_matrix(scenario)
     size = scenario.observation.size
     assert np.linalg.matrix_rank(matrix) == size
     assert np.linalg.cond(matrix[:size]) < 1e3  # without the velocity that friction repeats
+
+
+def test_features_of_a_fine_preview_are_its_near_samples_and_means_of_the_later_ones():
+    scenario = make_scenario("laboratory")
+    shown, rng = scenario.observation, np.random.default_rng(2)
+    matrix = feature_matrix(scenario)
+    assert matrix.shape == (
+        shown.size - 100 + 28 + 1,
+        shown.size,
+    )  # and the velocity that friction repeats
+    assert np.linalg.matrix_rank(matrix) == len(matrix) - 1 and np.linalg.cond(matrix[:-1]) < 1e3
+    observation = np.zeros(shown.size)
+    preview = rng.normal(size=100)
+    observation[shown.preview] = preview
+    # 1 ms apart for two control periods, then means over 5 ms, the first of them 3 ms behind.
+    nodes = np.concatenate([preview[:10], preview[10:].reshape(18, 5).mean(axis=1)])
+    size = np.sqrt(np.array([1.0] * 10 + [3.0] + [5.0] * 17) / 5.0) * 0.4 * scenario.motion.amplitude
+    features = (matrix @ observation)[shown.preview.start : shown.preview.start + 28]
+    np.testing.assert_allclose(features, np.diff(nodes, prepend=0.0) / size, rtol=1e-12)
 
 
 def test_features_of_measured_signals_are_errors_from_the_target():
@@ -171,7 +190,7 @@ def test_features_of_measured_signals_are_errors_from_the_target():
     for name in signals:
         place = layout.readings.start + layout.reading_names.index(name)
         assert abs(features[place]) < 1e-9
-    assert np.max(np.abs(features[layout.preview])) < 1e-9
+    assert np.max(np.abs(features[layout.preview.start : layout.preview.start + 28])) < 1e-9
 
 
 def test_the_shipped_policy_says_how_it_was_made():
@@ -186,7 +205,9 @@ def test_the_shipped_policy_says_how_it_was_made():
 def test_what_ships_for_a_scenario_costs_less_than_its_reference(scenario_name):
     scenario = make_scenario(scenario_name)
     policy = load_policy(shipped_policy("apg", scenario_name))
-    policy.check(scenario)
+    if policy.observation_size < scenario.observation.size:  # trained on samples 5 ms apart
+        scenario = make_scenario(scenario_name, {"fields": {"sensing.preview_spacing": 0.005}})
+    policy = policy.reading(scenario)
     assert shipped_policy("apg", scenario_name).stat().st_size < 500_000
     if scenario_name == "records":
         quakes = recorded_earthquakes(scenario)[4:]
@@ -196,6 +217,30 @@ def test_what_ships_for_a_scenario_costs_less_than_its_reference(scenario_name):
     ours, theirs = (rollout(each, scenario, quakes)[0] for each in (policy, reference))
     assert all(row.broken_limit is None for row in ours)
     assert sum(row.cost for row in ours) < 0.95 * sum(row.cost for row in theirs)
+
+
+@pytest.mark.parametrize("memory", [0, 8])
+def test_a_policy_reads_its_own_samples_out_of_a_finer_preview(memory, tmp_path):
+    coarse = make_scenario("laboratory", {"fields": {"sensing.preview_spacing": 0.005}})
+    fine = make_scenario("laboratory")
+    env = ShakeTableVecEnv(coarse, 2, base=base_law("lqg-dac", coarse), authority=0.3)
+    config = TrainConfig(algorithm="apg", apg=APGOptions(n_envs=2, gru_hidden_size=memory))
+    policy = export_policy(new_model(config, coarse, env), env, {"seed": 0})
+    wide = policy.reading(fine)
+    assert wide.observation_size == fine.observation.size and policy.reading(coarse) is policy
+    with pytest.raises(PolicyFileError, match="observation size = 30: the scenario's is 110"):
+        policy.check(fine)
+    places = np.delete(
+        np.arange(110), [i for i in range(9, 109) if (i - 9) % 5 != 4]
+    )  # x_W, five readings, 100 samples 1 ms apart, last action
+    state = own = None
+    rng = np.random.default_rng(3)
+    for _ in range(6):
+        seen = rng.normal(0.0, 0.5, (4, 110)).astype(np.float32)
+        action, state = wide.predict(seen, state)
+        expected, own = policy.predict(seen[:, places], own)
+        np.testing.assert_allclose(action, expected, atol=1e-6)
+    assert np.ptp(action) > 1e-3
 
 
 def test_a_missing_file_is_named(tmp_path):

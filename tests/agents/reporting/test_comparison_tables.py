@@ -27,7 +27,7 @@ def comparison(number, broken=0):
         GroupSummary(
             **numbers
             | {"controller": name, "group": group, "earthquakes": 6, "tests": 1}
-            | {"broken_limits": broken, "damage": float("nan")}
+            | {"broken_limits": broken, "damage": float("nan"), "information": "record known"}
         )
         for group in ("records", "filtered noise")
         for name in NAMES[:number]

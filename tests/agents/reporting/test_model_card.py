@@ -51,7 +51,8 @@ def test_a_card_repeats_its_sources(evaluated, capsys):
     for expected in (
         card["command"],
         row["sources"][0]["sha256"],
-        f"| cost / lqr | {interval(row['relative_cost'], 3)} |",
+        f"| cost / bound | {interval(row['relative_cost'], 3)} |",
+        f"| cost / lqr | {interval(row['reference_cost'], 3)} |",
         "0 of 3",
         "The actor has no biases",
         "- Not for sale.",

@@ -49,10 +49,14 @@ def numbers(sentence):
 
 
 def test_the_winner_is_who_costs_least_and_by_how_much():
-    found = verdict(
-        constructed({"lqr": [1.0, 2.0, 3.0, 4.0], "new": [0.8, 1.6, 2.4, 3.2], "oracle": [0.1] * 4}),
-        make_scenario("laboratory"),
+    comparison = constructed(
+        {"lqr": [1.0, 2.0, 3.0, 4.0], "new": [0.8, 1.6, 2.4, 3.2], "oracle": [0.1] * 4}
     )
+    # The bound is a twentieth of the winner's cost; the oracle is no candidate and no bound.
+    summaries = [
+        replace(row, bound_cost=20.0) if row.controller == "new" else row for row in comparison.summaries
+    ]
+    found = verdict(replace(comparison, summaries=summaries), make_scenario("laboratory"))
     assert found.winner == "new"
     # Earthquakes; the gain; the level of its interval, and the interval.
     assert numbers(found.wins) == [4.0, 20.0, 95.0, 20.0, 20.0]

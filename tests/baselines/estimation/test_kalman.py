@@ -232,6 +232,9 @@ def test_a_perfect_model_has_no_stationary_filter():
 
 
 def test_printed_equations_are_refused():
-    scenario = make_scenario("as-printed", {"sensing": "laboratory"})
+    with pytest.raises(ScenarioError, match=r"table_acceleration.lowpass_frequency = 80.*equations"):
+        make_scenario("as-printed", {"sensing": "laboratory"})
+    plain = Sensing(sensors=(Sensor(signal="table_displacement"),))
+    scenario = make_scenario("as-printed", {"sensing": plain})
     with pytest.raises(ScenarioError, match="equations"):
         EstimatorModel.of(scenario, ModelError(force=1.0, flow=1e-8))

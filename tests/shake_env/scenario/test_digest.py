@@ -20,15 +20,26 @@ from shake_env.scenario.scenario import Scenario
 KNOWN = {
     "linear": "1:70922dbd7faba8ab018f5e2039ee6bc1",
     "as-printed": "1:3419294be51bc151b12be015499507c8",
-    "laboratory": "1:1b0918c8d273101905d7f62a237223b2",
-    "unknown-specimen": "1:e19f661246e9f04761a07b85a6a1cc26",
-    "yielding": "1:f37d69f16cd03be8bbe6b0d724c8b120",
+    "laboratory": "1:a3582603ffc18270c78ab8bf877a09c3",
+    "unknown-specimen": "1:3f163bb059641cd05ebf3238a4d35ff3",
+    "yielding": "1:cea78752ed51f8fcb405ce8c5fcfa21b",
 }
 
 
 @pytest.mark.parametrize("name", KNOWN)
 def test_named_scenarios_have_the_digests_written_down(name):
     assert digest(make_scenario(name)) == KNOWN[name]
+
+
+def test_the_previews_spacing_counts_by_what_is_shown():
+    def spaced(spacing, name="laboratory", **fields):
+        return digest(make_scenario(name, {"fields": {"sensing.preview_spacing": spacing, **fields}}))
+
+    assert spaced(0.001) == digest(make_scenario("laboratory")) != spaced(0.005)
+    assert (
+        spaced(0.005, "yielding") == "1:f37d69f16cd03be8bbe6b0d724c8b120"
+    )  # as before 1 ms was the default
+    assert spaced(0.005, "linear") == KNOWN["linear"]  # without a preview it shows nothing
 
 
 def test_the_name_is_not_in_it():

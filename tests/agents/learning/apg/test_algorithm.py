@@ -299,7 +299,7 @@ def test_a_memory_policy_is_at_rest_for_what_gives_no_state():
     scenario = make_scenario("unknown-specimen")
     env = ShakeTableVecEnv(scenario, 3)
     policy = new_model(TrainConfig(algorithm="apg", apg=APGOptions(gru_hidden_size=8)), scenario, env)
-    seen = np.random.default_rng(0).normal(size=(5, 30)).astype(np.float32)
+    seen = np.random.default_rng(0).normal(size=(5, 110)).astype(np.float32)
     action, state = policy.predict(seen)
     with torch.no_grad():
         through = policy.policy(torch.as_tensor(seen), deterministic=True)[0].numpy()

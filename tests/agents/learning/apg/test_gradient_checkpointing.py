@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from gradient_models import model_on
 
+from agents.learning.apg.closed_loop import ClosedLoop
 from agents.learning.apg.window_rollout import WindowRollout
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_law
@@ -18,9 +19,9 @@ torch = pytest.importorskip("torch")
 SPECIMENS = {"fields": {"uncertainty.mass_ratio": [0.1, 1.0], "delay": 2.5}}
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def torch_alone(monkeypatch):
-    """Segments are those of torch; the closed loop in numpy keeps no graph."""
+    """A window without segments in torch as well: its gradient is then the same to the last bit."""
     monkeypatch.setattr(WindowRollout, "loop", None)
 
 
@@ -37,6 +38,23 @@ def estimated(scenario):
     return model
 
 
+def test_segments_are_run_again_where_a_whole_window_is_swept_in_numpy(monkeypatch):
+    model = model_on(make_scenario("linear"), lanes=4, window=12, terminal_value=False)
+    model.policy.double()
+    start = model.env.snapshot()
+
+    def gradient(checkpoint):
+        model.checkpoint = checkpoint
+        model.env.restore(start)
+        return torch.autograd.grad(model.window_loss()[0], model._actor)
+
+    whole = gradient(0)
+    monkeypatch.setattr(ClosedLoop, "run", None)  # keeps every period of the window
+    for one, two in zip(gradient(4), whole, strict=True):
+        np.testing.assert_allclose(one.numpy(), two.numpy(), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.usefixtures("torch_alone")
 @pytest.mark.parametrize("segment", [1, 5, 12])
 @pytest.mark.parametrize(
     ("name", "overrides", "options"),
@@ -70,6 +88,7 @@ def test_a_window_in_segments_has_the_whole_windows_gradient(name, overrides, op
         np.testing.assert_array_equal(one.numpy(), two.numpy())
 
 
+@pytest.mark.usefixtures("torch_alone")
 def test_what_a_gradient_keeps_falls_with_the_segment():
     model = model_on(make_scenario("linear"), lanes=16, window=64, terminal_value=False)
     start = model.env.get_state()
@@ -94,6 +113,7 @@ def test_what_a_gradient_keeps_falls_with_the_segment():
     assert kept(8) < 0.25 * kept(0)
 
 
+@pytest.mark.usefixtures("torch_alone")
 @pytest.mark.parametrize("memory", [0, 8])
 def test_training_goes_the_same_way_in_segments(memory):
     scenario = make_scenario("laboratory", {"duration": 0.2})

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from agents.evaluation.results import drive_column
 from agents.figure_style import CONTROLLERS, TARGET, figure_style, new_figure, save_figure
 from baselines.planning.bound import OptimalEpisode
 from shake_env.model.parameters import FloatArray
@@ -24,6 +25,7 @@ def draw_optimum(optimum: OptimalEpisode, folder: str | PathLike[str]) -> list[P
         (episode.model.scenario.physics_step, episode.model.scenario.control_period),
         folder,
         "optimum",
+        episode.model.scenario.input_unit,
     )
 
 
@@ -35,6 +37,7 @@ def draw_plan(
     steps: tuple[float, float],
     folder: str | PathLike[str],
     name: str,
+    input_unit: str,
 ) -> list[Path]:
     """Draw a plan and return the paths written.
 
@@ -45,14 +48,14 @@ def draw_plan(
     response
         (T, 2 k) acceleration after each physics step, then base shear.
     current
-        (T) [A].
+        (T) [A], or in the `input_unit` of the table.
     steps
         Physics step and control period [s].
     """
     with figure_style():
         figure = new_figure(7.0, 6.0)
         axes = figure.subplots(3, 1, sharex=True)
-        _draw(axes, wanted, response, current, steps)
+        _draw(axes, wanted, response, current, steps, drive_column(input_unit))
         axes[0].set_title(title)
         Path(folder).mkdir(parents=True, exist_ok=True)
         return save_figure(figure, folder, name)
@@ -64,6 +67,7 @@ def _draw(
     response: FloatArray,
     current: FloatArray,
     steps: tuple[float, float],
+    drive: tuple[str, str, float],
 ) -> None:
     k = wanted[0].shape[1]
     fine = steps[0] * np.arange(1, wanted[0].size + 1)
@@ -76,6 +80,7 @@ def _draw(
         axis.plot(fine, factor * done.ravel(), label="planned", **line)
         axis.set_ylabel(label)
     axes[0].legend(ncols=2)
-    axes[2].step(steps[1] * np.arange(len(current)), 1e3 * current, where="post", color=line["color"])
-    axes[2].set_ylabel("current [mA]")
+    name, unit, factor = drive
+    axes[2].step(steps[1] * np.arange(len(current)), factor * current, where="post", color=line["color"])
+    axes[2].set_ylabel(f"{name} [{unit}]")
     axes[2].set_xlabel("time [s]")

@@ -1,4 +1,4 @@
-"""The commands ``shake export`` and ``shake model-card``."""
+"""The command ``shake model-card``."""
 
 from __future__ import annotations
 
@@ -10,50 +10,6 @@ import tyro
 from rich.console import Console
 
 from agents.cli.command_options import CommandOptions
-from agents.cli.output_path import require_writable_file
-from shake_env.errors import ParameterError
-
-
-@dataclass(frozen=True, kw_only=True)
-class Export(CommandOptions):
-    """Write a policy as ONNX, for runtimes other than numpy.
-
-    Try:
-      shake export runs/mine policy.onnx
-      shake export policy.safetensors policy.onnx
-      shake export apg linear.onnx
-    """
-
-    policy: tyro.conf.Positional[str]
-    """Run directory, policy file, or the name of a policy that ships (policy, analytic, off-policy)."""
-    output: tyro.conf.Positional[Path]
-    """File to write, *.onnx."""
-
-    def run(self, console: Console) -> dict[str, Any]:
-        """Write, and say what the graph takes and gives."""
-        from agents.policies.onnx_export import export_onnx
-        from agents.policies.policy_file import load_policy
-        from agents.policies.registry import policy_path
-
-        if self.output.suffix != ".onnx":
-            raise ParameterError("output", str(self.output), "must end in .onnx")
-        policy = load_policy(policy_path(self.policy))
-        require_writable_file(self.output, "output")
-        export_onnx(policy, self.output)
-        states = 0 if policy.memory is None else policy.memory.arrays
-        console.print(
-            f"wrote {self.output}: observation (N, {policy.observation_size}) to action (N, 1)"
-        )
-        if policy.memory is not None:
-            console.print(
-                f"state: {states} inputs and outputs (N, {policy.memory.units}), zeros at first"
-            )
-        return {
-            "output": str(self.output),
-            "observation_size": policy.observation_size,
-            "states": states,
-            "units": 0 if policy.memory is None else policy.memory.units,
-        }
 
 
 @dataclass(frozen=True, kw_only=True)

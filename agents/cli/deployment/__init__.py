@@ -1,0 +1,1 @@
+"""Commands that take controllers out of Python."""

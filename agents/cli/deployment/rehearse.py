@@ -1,0 +1,110 @@
+"""The command ``shake rehearse``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+
+from agents.cli.command_options import Flag, FolderOptions
+from agents.progress import progress_bar
+from agents.reporting.terminal import print_table
+from agents.scenario_options import ScenarioOptions
+
+EVERY_FAULT = "all"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rehearse(FolderOptions):
+    """Rehearse a test in real time: the simulated table and its controller as two processes over UDP.
+
+    The controller is the exported C program, or Python. Injected faults are survived by holding the last
+    command and then braking; they are counted and logged.
+
+    Try:
+      shake rehearse lqg --scenario laboratory --seconds 60
+      shake rehearse lqg --scenario laboratory --control-rate 1000 --seconds 60
+      shake rehearse apg --scenario laboratory --runs python --faults all
+      shake rehearse lqg --scenario laboratory --tests 1000 --seconds 2 --faults all --unpaced
+    """
+
+    controller: tyro.conf.Positional[str] = "lqg"
+    """Name of a controller, policy file or run directory."""
+    scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(
+        default_factory=lambda: ScenarioOptions(scenario="laboratory")
+    )
+    runs: Literal["c", "python"] = "c"
+    """What the controller's process is."""
+    safety_supervisor: Flag = False
+    """Put the safety supervisor around the controller, in its process."""
+    seconds: float | None = None
+    """Length of each test [s] (default: the scenario's motion)."""
+    tests: int = 1
+    """Number of tests, each with an earthquake of its own."""
+    faults: tuple[str, ...] = ()
+    """Kinds of faults to inject: lost, late, duplicated, reordered, corrupt, "controller dies",
+    "sensor sticks"; or all."""
+    fault_rate: float = 0.01
+    """Share of datagrams that a fault befalls."""
+    hold: int = 2
+    """Control periods for which the last command is held, before braking."""
+    unpaced: Flag = False
+    """Run as fast as possible instead of at the clock's rate."""
+    seed: int = 0
+    """Of the first earthquake and its faults; the next test takes the next."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Rehearse, and print what happened."""
+        from agents.deployment.rehearsal.faults import FAULTS
+        from agents.deployment.rehearsal.rehearse import RehearsalPlan, rehearse
+
+        scenario = self.scenario.build()
+        plan = RehearsalPlan(
+            runs=self.runs,
+            supervised=self.safety_supervisor,
+            seconds=self.seconds,
+            tests=self.tests,
+            faults=FAULTS if EVERY_FAULT in self.faults else self.faults,
+            fault_rate=self.fault_rate,
+            hold=self.hold,
+            paced=not self.unpaced,
+            seed=self.seed,
+        )
+        folder = self.results_folder("rehearsal")
+        with progress_bar() as progress:
+            task = progress.add_task("rehearsal", total=1.0)
+            found = rehearse(
+                self.controller,
+                scenario,
+                plan,
+                folder,
+                lambda share: progress.update(task, completed=share),
+            )
+        print_rehearsal(found, console)
+        if folder is not None:
+            console.print(f"wrote {folder}")
+        return found | {"output": None if folder is None else str(folder)}
+
+
+def print_rehearsal(found: dict[str, Any], console: Console) -> None:
+    """Print what happened, for a person."""
+    first = found["first_test"]
+    console.print(
+        f"{found['controller']} ({found['runs']}): {found['tests']} tests, {found['periods']} periods "
+        f"of {1e3 * first['period']:g} ms; hard limits broken in {found['hard_limits_broken']}",
+        highlight=False,
+    )
+    names = ("median_us", "p99_us", "worst_us")
+    rows = [
+        (name, *(f"{first[name][key]:.1f}" for key in names))
+        for name in ("latency", "jitter")
+        if first[name]
+    ]
+    print_table(console, ("first test", "median [us]", "99 % [us]", "worst [us]"), rows)
+    counts = [(name, str(count)) for name, count in found["events"].items()]
+    print_table(console, ("noticed by the table", "periods"), counts or [("nothing", "0")])
+    if found["injected"]:
+        given = [(name, str(count)) for name, count in found["injected"].items()]
+        print_table(console, ("injected", "number"), given)

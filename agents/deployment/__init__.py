@@ -1,0 +1,1 @@
+"""Controllers and plants outside of Python: C, FMU, and a rehearsal in real time."""

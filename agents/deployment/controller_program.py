@@ -1,0 +1,103 @@
+"""A controller, by its name or as an object, as a program."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import shake_env
+from agents.deployment.channels import current_channel, identifier, observation_channels
+from agents.deployment.laws import block_of
+from agents.deployment.program import Precision, Program
+from agents.policies.policy_file import digest
+from agents.policies.registry import find_controller, get_controller, policy_path, values_for
+from agents.provenance import code_version
+from shake_env.controller import Controller
+from shake_env.safety.supervisor import Supervised
+from shake_env.scenario.digest import known_name, scenario_digest
+from shake_env.scenario.scenario import Scenario
+
+
+def controller_program(
+    name: str,
+    scenario: Scenario,
+    *,
+    supervised: bool = False,
+    precision: Precision = "float64",
+    prefix: str | None = None,
+) -> tuple[Program, Controller]:
+    """Return a controller of a name as a program, and the controller itself.
+
+    Parameters
+    ----------
+    name
+        As `agents.policies.registry.get_controller` takes it.
+    scenario
+        What it drives.
+    supervised
+        Whether the safety supervisor is put around it.
+    precision
+        Of the arithmetic.
+    prefix
+        Of functions and types; None: controller and scenario.
+
+    Raises
+    ------
+    ScenarioError
+        If the controller does not suit the scenario, or has no form in C.
+    """
+    controller = get_controller(name, scenario)
+    provenance = {
+        "program": f"shake-env {shake_env.__version__}, {code_version() or 'not a git checkout'}",
+        "controller": name,
+        "scenario": f"{scenario.name}, digest {scenario_digest(scenario)}",
+    }
+    entry = find_controller(name)
+    if entry.kind in ("shipped", "file"):
+        provenance["policy"] = f"sha256 {digest(policy_path(name, known_name(scenario)))}"
+    values = values_for(name, scenario)
+    if values is not None:
+        given = ", ".join(f"{key}={value:.6g}" for key, value in values.parameters.items())
+        provenance["parameters"] = f"{values.description}: {given}" if given else values.description
+    if supervised:
+        controller = Supervised(controller, scenario)
+        provenance["supervisor"] = "around the controller"
+    prefix = prefix or identifier(f"{name.rsplit('/', 1)[-1]}_{scenario.name}").lower()
+    title = f"Controller {name} of a shake table, scenario {scenario.name}"
+    return as_program(controller, scenario, prefix, title, provenance, precision), controller
+
+
+def as_program(
+    controller: Controller,
+    scenario: Scenario,
+    prefix: str,
+    title: str,
+    provenance: dict[str, str],
+    precision: Precision = "float64",
+) -> Program:
+    """Return a controller object as a program; arguments as of `controller_program` and `Program`."""
+    return Program(
+        name=prefix,
+        title=plain(title),
+        block=block_of(controller, scenario),
+        inputs=observation_channels(scenario),
+        outputs=(current_channel(scenario),),
+        period=scenario.control_period,
+        accepts_any_input=isinstance(controller, Supervised),
+        provenance={key: plain(text) for key, text in provenance.items()},
+        valve=valve_numbers(scenario),
+        precision=precision,
+    )
+
+
+def valve_numbers(scenario: Scenario) -> dict[str, Any]:
+    """Return what the opening of a scenario's servovalve depends on; None where nothing limits it."""
+    valve = scenario.nonlinearity.valve
+    limits = {name: getattr(valve, name) for name in ("spool_limit", "supply_pressure")}
+    found = {name: value if math.isfinite(value) else None for name, value in limits.items()}
+    return {**found, "dead_band": valve.dead_band}
+
+
+def plain(text: str) -> str:
+    """Return a text that may stand in a C comment and a C string."""
+    return text.replace("\\", "/").replace('"', "'").replace("*/", "* /").replace("\n", " ")

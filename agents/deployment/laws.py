@@ -1,0 +1,261 @@
+"""Controllers as blocks: from the objects that drive a table in Python to what is written as C.
+
+The constants are taken from the controllers themselves, designed as the registry designs them, so that
+there is one design. `tests/agents/deployment/` holds both equal, decision by decision.
+"""
+
+from __future__ import annotations
+
+from functools import singledispatch
+from typing import Any
+
+import numpy as np
+
+from agents.deployment.program import Block, flat
+from agents.policies.estimated_law import EstimatedLaw
+from agents.policies.policy_file import PolicyFile
+from agents.policies.recurrent_cells import PARTS
+from baselines.estimation.lqg import EstimatedState, full_state
+from baselines.lqr.feedforward import NODES, WEIGHTS, FeedforwardLQR
+from baselines.lqr.integral import IntegralFeedback
+from baselines.lqr.preview import PreviewFeedback
+from baselines.lqr.sampled import LinearFeedback
+from baselines.servo.disturbance_observer import DisturbanceObserver
+from baselines.servo.inverse_model import InverseFeedForward
+from baselines.servo.mcs import MCS
+from baselines.servo.output_feedback import OutputFeedback
+from baselines.servo.signals import SignalReader
+from shake_env.controller import NoControl
+from shake_env.errors import ScenarioError
+from shake_env.safety.supervisor import Supervised
+from shake_env.scenario.scenario import Scenario
+
+EXPORTABLE = (
+    "none, lqr, preview-lqr, lqr-integral, lqr-friction-ff, lqg, lqg-dac, lqg-searched, multi-model, "
+    "h-infinity, pid, tvc, tvc-dob, mcs, mcs-bounded, inverse-ff, inverse-ff-tvc, policies, and the "
+    "supervisor around each"
+)
+
+
+@singledispatch
+def block_of(controller: Any, scenario: Scenario) -> Block:
+    """Return a controller as a block that reads the scenario's observation.
+
+    Raises
+    ------
+    ScenarioError
+        If the controller needs more than one decision's arithmetic, or its form is not known here.
+    """
+    raise ScenarioError(
+        "controller",
+        type(controller).__name__,
+        f"has no C form: it solves, plans or learns while it runs. Those that have one: {EXPORTABLE}",
+    )
+
+
+def _linear(row: Any) -> Block:
+    return Block("linear", "linear feedback of the observation", arrays={"row": flat(row)})
+
+
+@block_of.register
+def _(controller: NoControl, scenario: Scenario) -> Block:
+    return _linear(np.zeros(scenario.observation.size))
+
+
+@block_of.register
+def _(controller: LinearFeedback, scenario: Scenario) -> Block:
+    return _linear(controller._row)
+
+
+@block_of.register
+def _(controller: PreviewFeedback, scenario: Scenario) -> Block:
+    return _linear(controller.row)
+
+
+@block_of.register
+def _(controller: IntegralFeedback, scenario: Scenario) -> Block:
+    return Block(
+        "integral",
+        "linear feedback with integral action on the displacement",
+        arrays={"row": flat(controller._row), "error": flat(controller._error)},
+        numbers={"gain": controller._integral},
+    )
+
+
+@block_of.register
+def _(controller: FeedforwardLQR, scenario: Scenario) -> Block:
+    friction, orifice = controller._friction, controller._valve is not None
+    if controller._load:
+        raise ScenarioError("orifice", "present", "only its preview is exported")
+    arrays = {"row": flat(controller._row)}
+    numbers: dict[str, Any] = {
+        "friction": friction is not None, "orifice": orifice, "order": controller._order,
+        "limit": controller._limit,
+    }  # fmt: skip
+    if friction is not None or orifice:
+        preview = controller.preview
+        numbers["times"] = preview.rows.shape[1]
+    if friction is not None:
+        numbers |= vars(friction)
+        arrays |= {
+            "velocity": flat(preview.rows[1]), "spread": flat(preview.velocity_spread),
+            "force_row": flat(preview.force_row), "nodes": NODES, "weights": WEIGHTS,
+        }  # fmt: skip
+    if orifice:
+        arrays |= {
+            "pressure": flat(preview.rows[0]), "spool": flat(preview.rows[2]),
+            "flow_row": flat(preview.flow_row),
+        }  # fmt: skip
+    summary = "preview LQR with friction and orifice feed-forward"
+    return Block("friction_feedforward", summary, arrays=arrays, numbers=numbers)
+
+
+@block_of.register
+def _(controller: EstimatedState, scenario: Scenario) -> Block:
+    model, recursion = controller.estimator.model, controller.recursion
+    shown, layout, full = scenario.observation, scenario.plant.layout, scenario.sensing.full_state
+    inner = full_state(scenario)
+    gains = controller.estimator.gains
+    arrays = {
+        "A": model.A, "B": model.B, "C": model.C, "ahead": model.ahead, "gains": gains,
+        "S": recursion.S, "W_before": recursion.W_before, "W_now": recursion.W_now,
+        "foresight": controller.foresight,
+    }  # fmt: skip
+    numbers = {
+        "states": model.order,
+        "actions": model.commands + 1,
+        "readings": len(model.C),
+        "periods": len(gains),
+        "w": layout.filter_states,
+        "r": 2 * layout.stories,
+        "first_reading": layout.controlled.start if full else shown.readings.start,
+        "first_reference": layout.reference.start if full else None,
+        "preview": shown.preview_samples,
+        "first_preview": shown.preview.start,
+        "last_action": shown.last_action.start if shown.sensing.last_action else None,
+        "believed": inner.observation.size,
+    }
+    return Block(
+        "estimator",
+        "Kalman filter, and prediction over the loop delay, in front of a full-state law",
+        arrays={name: flat(array) for name, array in arrays.items()},
+        numbers=numbers,
+        inner=block_of(controller.law, inner),
+    )
+
+
+def _signals(reader: SignalReader) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return arrays and numbers of the part that takes signals from an observation."""
+    numbers = {"integrates": reader.integrates, "half_period": reader._half_period}
+    return {"signals": flat(reader._rows.T)}, numbers
+
+
+@block_of.register
+def _(controller: OutputFeedback, scenario: Scenario) -> Block:
+    arrays, numbers = _signals(controller._reader)
+    law, r = controller.law, len(controller.law.C)
+    arrays["D"] = law.D
+    if r:
+        arrays |= {"A": law.A, "B": law.B, "C": law.C, "W": law.W}
+    numbers |= {"r": r, "limit": controller._limit}
+    return Block("output_feedback", "linear feedback of measured signals", arrays, numbers=numbers)
+
+
+@block_of.register
+def _(controller: InverseFeedForward, scenario: Scenario) -> Block:
+    arrays, numbers = _signals(controller._reader)
+    law = controller.law
+    arrays |= {"taps": law.taps, "feedback": law.feedback}
+    numbers |= {
+        "past": controller._past, "preview": law.preview, "limit": controller._limit,
+        "first_preview": scenario.observation.preview.start,
+        "preview_scale": controller._preview_scale, "acceleration_tap": law.acceleration_tap,
+        "half_period": 0.5 * controller._period,
+    }  # fmt: skip
+    return Block("inverse_model", "inverse-model feed-forward", arrays, numbers=numbers)
+
+
+@block_of.register
+def _(controller: MCS, scenario: Scenario) -> Block:
+    arrays, numbers = _signals(controller._reader)
+    d = controller.design
+    arrays["D"] = controller._inner
+    numbers |= {
+        name: getattr(d, name)
+        for name in ("damping_ratio", "displacement", "alpha", "beta", "leakage", "bound",
+                     "error_integral", "normalised")
+    }  # fmt: skip
+    numbers |= {
+        "omega": controller._omega, "gain_unit": controller._unit, "limit": controller._limit,
+        "period": controller._period, "bounded": bool(np.isfinite(d.bound)),
+    }  # fmt: skip
+    return Block(
+        "mcs", "minimal control synthesis around three-variable control", arrays, numbers=numbers
+    )
+
+
+@block_of.register
+def _(controller: DisturbanceObserver, scenario: Scenario) -> Block:
+    arrays, numbers = _signals(controller._reader)
+    shown = scenario.observation
+    arrays["arrivals"] = controller._arrivals
+    numbers |= {
+        "past": len(controller._arrivals), "limit": controller._limit, "lag": controller._lag,
+        "velocity_gain": controller._gain, "follow": controller._follow,
+        "last_action": shown.last_action.start if shown.sensing.last_action else None,
+    }  # fmt: skip
+    inner = block_of(controller.controller, scenario)
+    summary = "disturbance observer around another controller"
+    return Block("disturbance_observer", summary, arrays, numbers=numbers, inner=inner)
+
+
+@block_of.register
+def _(controller: PolicyFile, scenario: Scenario) -> Block:
+    arrays: dict[str, Any] = {"matrix": controller.matrix, "base": controller.base}
+    for number, (weight, bias) in enumerate(zip(controller.weights, controller.biases, strict=True)):
+        arrays[f"weight_{number}"], arrays[f"bias_{number}"] = weight, bias
+    memory, law = controller.memory, controller.law
+    if memory is not None:
+        arrays |= {name: getattr(memory, name) for name in PARTS}
+    numbers = {
+        "n": controller.observation_size,
+        "features": len(controller.matrix),
+        "feature_clip": controller.feature_clip,
+        "widths": [len(bias) for bias in controller.biases],
+        "activation": controller.activation,
+        "output": controller.output,
+        "authority": controller.authority,
+        "direct": controller.direct,
+        "memory": None if memory is None else memory.kind,
+        "units": 0 if memory is None else memory.units,
+        "law": law is not None,
+        "shown": 0,
+    }
+    if law is not None:
+        parts, sizes = _estimated_law(law)
+        arrays, numbers = arrays | parts, numbers | sizes
+    kind = "feedforward network" if memory is None else f"network with a memory ({memory.kind.upper()})"
+    behind = " behind an estimator" if law is not None else ""
+    return Block(
+        "policy",
+        f"learned policy: {kind}{behind}",
+        {name: flat(array) for name, array in arrays.items()},
+        numbers=numbers,
+    )
+
+
+def _estimated_law(law: EstimatedLaw) -> tuple[dict[str, Any], dict[str, Any]]:
+    periods, estimates, readings = law.gains.shape
+    arrays = {name: getattr(law, name) for name in ("advance", "gains", "show", "begins")}
+    sizes = {
+        "known": law.size, "shown": law.shown, "periods": periods, "estimates": estimates,
+        "readings": readings, "actions": law.actions,
+    }  # fmt: skip
+    return arrays, sizes
+
+
+@block_of.register
+def _(controller: Supervised, scenario: Scenario) -> Block:
+    from agents.deployment.supervision import supervisor_block  # long; in a file of its own
+
+    return supervisor_block(controller, block_of(controller.controller, scenario))

@@ -1,0 +1,61 @@
+"""What a rehearsal leaves: its log, and a figure of latency and jitter."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+
+from agents.deployment.rehearsal.table import Rehearsal
+from shake_env.files import write_text
+
+
+def write_log(test: Rehearsal, path: Path) -> Path:
+    """Write a test's log as CSV: names with units, then one row a control period; return the file.
+
+    All of a rehearsal's logs pass through here.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(test.columns)
+    for row in test.rows:
+        writer.writerow([f"{value:.9g}" if isinstance(value, float) else value for value in row])
+    write_text(path, text.getvalue())
+    return path
+
+
+def draw_timing(test: Rehearsal, path: Path, deadline: float) -> Path:
+    """Draw the distributions of latency and jitter; return the file.
+
+    Parameters
+    ----------
+    test
+        What was measured.
+    path
+        Of the picture.
+    deadline
+        [s] of a command.
+    """
+    from agents.figure_style import figure_style, new_figure, write_figure
+
+    latency = test.column("latency")
+    jitter = np.abs(test.column("jitter"))
+    with figure_style():
+        figure = new_figure(8.0, 3.2)
+        panels = figure.subplots(1, 2, sharey=True)
+        for panel, values, name in (
+            (panels[0], latency[np.isfinite(latency)], "latency of a command [µs]"),
+            (panels[1], jitter, "jitter of a period's start [µs]"),
+        ):
+            if len(values):
+                low = max(float(values.min()), 0.1)
+                bins = np.geomspace(low, max(float(values.max()), 2.0 * low), 60)
+                panel.hist(np.maximum(values, low), bins=bins)
+            panel.set(xscale="log", yscale="log", xlabel=name)
+        panels[0].axvline(1e6 * deadline, color="black", linestyle="--", label="deadline")
+        panels[0].legend()
+        panels[0].set_ylabel("control periods")
+        write_figure(figure, path)
+    return path

@@ -1,0 +1,166 @@
+"""Rehearsals: one paced test with its log and figure, or many short ones with faults drawn at random."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from agents.deployment.rehearsal.controller_process import Runs, start_controller
+from agents.deployment.rehearsal.faults import CONTROLLER_DIES, SENSOR_STICKS, draw_faults
+from agents.deployment.rehearsal.log import draw_timing, write_log
+from agents.deployment.rehearsal.table import Rehearsal, TableProcess
+from shake_env.errors import ParameterError
+from shake_env.motion.targets import FilteredNoise
+from shake_env.rollout import Earthquake, noise_earthquakes
+from shake_env.scenario.scenario import Scenario
+
+NOTICED = 12  # control periods within which a sensor that sticks must be found
+
+
+@dataclass(frozen=True, kw_only=True)
+class RehearsalPlan:
+    """What is rehearsed.
+
+    Raises
+    ------
+    ParameterError
+        If a number is not in its range.
+    """
+
+    runs: Runs = "c"  # what the controller's process is
+    supervised: bool = False  # the safety supervisor around the controller, in its process
+    seconds: float | None = None  # [s] of each test; None: the scenario's motion
+    tests: int = 1
+    faults: tuple[str, ...] = ()  # kinds that are drawn
+    fault_rate: float = 0.01  # [-] of datagrams
+    hold: int = 2  # control periods that the last command is held for
+    paced: bool = True
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.tests < 1:
+            raise ParameterError("tests", self.tests, "must be at least 1")
+        if self.hold < 0:
+            raise ParameterError("hold", self.hold, "must be at least 0")
+        if self.seconds is not None and not 0.0 < self.seconds < float("inf"):
+            raise ParameterError("seconds", self.seconds, "must be above 0")
+
+
+def rehearse(
+    name: str,
+    scenario: Scenario,
+    plan: RehearsalPlan,
+    folder: Path | None = None,
+    on_progress: Callable[[float], None] = lambda share: None,
+) -> dict[str, Any]:
+    """Rehearse a controller; return counts and times as plain values.
+
+    Parameters
+    ----------
+    name
+        Of the controller.
+    scenario
+        Of the table.
+    plan
+        How.
+    folder
+        For logs and the figure of the first test; None: nothing is written.
+    on_progress
+        Told the share of the work that is done.
+    """
+    earthquakes = _earthquakes(scenario, plan)
+    periods = None if plan.seconds is None else round(plan.seconds / scenario.control_period)
+    process = start_controller(name, scenario, plan.runs, plan.supervised)
+    tests: list[Rehearsal] = []
+    missed: list[dict[str, Any]] = []
+    try:
+        table = TableProcess(scenario, process, hold=plan.hold, paced=plan.paced)
+        for number, quake in enumerate(earthquakes):
+            length = periods or round(quake.motion.duration / scenario.control_period)
+            readings = scenario.observation.readings_count
+            faults = draw_faults(plan.faults, plan.fault_rate, length, readings, quake.seed)
+            test = table.run(
+                quake,
+                faults,
+                periods,
+                lambda share, done=number: on_progress((done + share) / plan.tests),  # type: ignore[misc]
+            )
+            tests.append(test)
+            if folder is not None:
+                write_log(test, folder / f"test-{number + 1}.csv")
+            if number == 0 and folder is not None:
+                draw_timing(test, folder / "timing.png", table.deadline)
+            if missing := unnoticed(test):
+                missed.append({"test": number + 1, "faults": missing})
+            if any(fault.kind == CONTROLLER_DIES for fault in faults):
+                process.restart()
+            on_progress((number + 1) / plan.tests)
+    finally:
+        process.close()
+    return _result(name, plan, tests, missed)
+
+
+@dataclass(frozen=True)
+class NoiseEarthquake(Earthquake):
+    """An earthquake of filtered noise."""
+
+    motion: FilteredNoise
+
+
+def _earthquakes(scenario: Scenario, plan: RehearsalPlan) -> list[NoiseEarthquake]:
+    """Return the tests' earthquakes, as long as is asked for at least."""
+    made = []
+    for quake in noise_earthquakes(scenario, plan.tests, plan.seed):
+        motion = quake.motion
+        assert isinstance(motion, FilteredNoise)  # which it always is
+        duration = max(plan.seconds or 0.0, motion.duration)
+        made.append(NoiseEarthquake(quake.name, replace(motion, duration=duration), quake.seed))
+    return made
+
+
+def unnoticed(test: Rehearsal) -> list[str]:
+    """Return the injected faults of a test that the table did not notice by itself, in words.
+
+    A datagram that is lost, late, out of order or corrupt leaves its period without a command; a command
+    that comes twice is noticed as that; a dead controller leaves every period without one; a sensor that
+    sticks is found faulty within `NOTICED` periods. A measurement that the controller gets twice has no
+    effect that could be noticed.
+    """
+    injected, events = (test.columns.index(name) for name in ("injected", "events"))
+    missed = []
+    for k, row in enumerate(test.rows):
+        for fault in filter(None, row[injected].split("; ")):
+            later = [text for each in test.rows[k : k + NOTICED] for text in each[events].split("; ")]
+            if fault == SENSOR_STICKS:
+                seen = any(text.startswith("faulty sensor") for text in later)
+                seen = seen or len(test.rows) < k + NOTICED
+            elif fault.endswith("duplicated"):
+                seen = "measurement" in fault or "command repeated" in later
+            else:
+                seen = "no command in time" in row[events] or "corrupt datagram" in row[events]
+            if not seen:
+                missed.append(f"{fault} in period {k}")
+    return missed
+
+
+def _result(
+    name: str, plan: RehearsalPlan, tests: Sequence[Rehearsal], missed: list[dict[str, Any]]
+) -> dict[str, Any]:
+    events, injected = Counter[str](), Counter[str]()
+    for test in tests:
+        events += test.events
+        injected += test.injected
+    return {
+        "controller": name,
+        "runs": plan.runs,
+        "tests": len(tests),
+        "periods": sum(len(test.rows) for test in tests),
+        "hard_limits_broken": sum(test.broken_limit is not None for test in tests),
+        "events": dict(sorted(events.items())),
+        "injected": dict(sorted(injected.items())),
+        "unnoticed": missed,
+        "first_test": tests[0].summary(),
+    }

@@ -1,0 +1,319 @@
+"""The table of a rehearsal: simulated, stepped at wall-clock rate, guarded, and logged.
+
+In each control period the measurement is sent, the command awaited until a deadline, the guard asked,
+and the table stepped. All that is timed is timed here, by one clock.
+"""
+
+from __future__ import annotations
+
+import gc
+import select
+import socket
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from agents.deployment.channels import observation_channels
+from agents.deployment.rehearsal.clock import wait_until
+from agents.deployment.rehearsal.controller_process import LOOPBACK, ControllerProcess
+from agents.deployment.rehearsal.datagram import BEGINS, COMMAND, MEASUREMENT, REFUSED, Datagram, unpack
+from agents.deployment.rehearsal.faults import (
+    CONTROLLER_DIES,
+    LINK_FAULTS,
+    SENSOR_STICKS,
+    STUCK_PERIODS,
+    Fault,
+    FaultyLink,
+)
+from agents.deployment.rehearsal.guard import HoldThenBrake
+from shake_env.kernels.layout import REPORT
+from shake_env.model.parameters import FloatArray
+from shake_env.rollout import Earthquake
+from shake_env.scenario.limits import REASONS
+from shake_env.scenario.scenario import Scenario
+from shake_env.simulation.simulation import Simulation
+
+DEADLINE = 0.5  # [-] of a control period, by which a command must have come
+UNPACED_DEADLINE = 0.01  # [s] likewise, where a test runs as fast as it can
+SIGNALS = {
+    "table_displacement": "m", "table_velocity": "m/s", "table_acceleration": "m/s^2",
+    "target_acceleration": "m/s^2", "base_shear": "N", "reference_base_shear": "N",
+}  # what is logged of the table itself, by its name in a step's report  # fmt: skip
+_PLACES = [REPORT.index(name) for name in SIGNALS]
+TIMES = (
+    "time [s]", "sequence [-]", "jitter [us]", "latency [us]", "asked [A]", "current [A]",
+)  # fmt: skip
+
+TEXTS = ("mode", "events", "injected")
+
+
+@dataclass
+class Rehearsal:
+    """What a rehearsed test was."""
+
+    scenario: str
+    period: float  # [s]
+    columns: tuple[str, ...]  # of `rows`, names with units
+    rows: list[list[Any]] = field(default_factory=list)  # one a control period
+    events: Counter[str] = field(default_factory=Counter)  # what the table noticed
+    injected: Counter[str] = field(default_factory=Counter)  # what the plan of faults did
+    broken_limit: str | None = None
+
+    def column(self, name: str) -> FloatArray:
+        """Return a column of numbers; NaN where a period has none."""
+        place = [text.split(" [")[0] for text in self.columns].index(name)
+        return np.array([np.nan if row[place] == "" else float(row[place]) for row in self.rows])
+
+    def summary(self) -> dict[str, Any]:
+        """Return counts, and quantiles of latency and jitter [us], as plain values."""
+        latency, jitter = self.column("latency"), np.abs(self.column("jitter"))
+        latency = latency[np.isfinite(latency)]
+
+        def quantiles(values: FloatArray) -> dict[str, float] | None:
+            if not len(values):
+                return None
+            median, high, most = np.quantile(values, [0.5, 0.99, 1.0])
+            return {"median_us": float(median), "p99_us": float(high), "worst_us": float(most)}
+
+        return {
+            "scenario": self.scenario,
+            "periods": len(self.rows),
+            "period": self.period,
+            "broken_limit": self.broken_limit,
+            "deadline_misses": self.events["no command in time"],
+            "events": dict(sorted(self.events.items())),
+            "injected": dict(sorted(self.injected.items())),
+            "latency": quantiles(latency),
+            "jitter": quantiles(jitter),
+        }
+
+
+class TableProcess:
+    """One simulated table, its guard and its end of the link.
+
+    Parameters
+    ----------
+    scenario
+        What is simulated.
+    controller
+        What answers.
+    hold
+        Control periods for which the last command is held, before braking.
+    paced
+        Whether periods follow the clock; else one begins when the last has ended.
+    deadline
+        [s] from a measurement to its command; None: half a period, or `UNPACED_DEADLINE`.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        controller: ControllerProcess,
+        *,
+        hold: int = 2,
+        paced: bool = True,
+        deadline: float | None = None,
+    ) -> None:
+        self.scenario, self.controller, self.hold, self.paced = scenario, controller, hold, paced
+        usual = DEADLINE * scenario.control_period if paced else UNPACED_DEADLINE
+        self.deadline = usual if deadline is None else deadline
+        self._channels = observation_channels(scenario)
+        self._scales = np.array([channel.scale for channel in self._channels])
+        self._simulation = Simulation(scenario, 1)
+        self._tests = 0
+
+    def run(
+        self,
+        earthquake: Earthquake,
+        faults: Sequence[Fault] = (),
+        periods: int | None = None,
+        on_period: Callable[[float], None] = lambda share: None,
+    ) -> Rehearsal:
+        """Rehearse one test.
+
+        Parameters
+        ----------
+        earthquake
+            Motion and seed.
+        faults
+            What is to go wrong.
+        periods
+            At most as many; None: the whole motion.
+        on_period
+            Told the share of the test that is done, twice a second.
+        """
+        simulation, self._tests = self._simulation, self._tests + 1
+        simulation.start([0], [np.random.default_rng(earthquake.seed)], [earthquake.motion])
+        count = int(simulation.episode_steps[0])
+        count = count if periods is None else min(count, periods)
+        names = [f"{channel.identifier} [{channel.unit}]" for channel in self._channels]
+        signals = [f"{name} [{unit}]" for name, unit in SIGNALS.items()]
+        columns = (*TIMES, *TEXTS, *signals, *(f"shown {name}" for name in names))
+        test = Rehearsal(self.scenario.name, self.scenario.control_period, columns)
+        simulation.step(np.zeros(1))  # compile and load before the clock runs
+        observation = simulation.start(
+            [0], [np.random.default_rng(earthquake.seed)], [earthquake.motion]
+        )[0]
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as endpoint:
+            endpoint.bind((LOOPBACK, 0))
+            endpoint.setblocking(False)
+            period = _Periods(self, test, endpoint, tuple(faults))
+            collecting = gc.isenabled()
+            gc.collect()
+            gc.disable()
+            try:
+                period.run(observation.astype(float), count, on_period)
+            finally:
+                if collecting:
+                    gc.enable()
+        return test
+
+    @property
+    def test(self) -> int:
+        """Number of the present test."""
+        return self._tests
+
+    def step(self, current: float) -> tuple[FloatArray, list[float], str | None, bool]:
+        """Step the table; return observation, signals, the limit that broke, and whether it ends."""
+        result = self._simulation.step(np.array([current / self.scenario.current_limit]))
+        broken = REASONS[int(result.broken[0]) - 1] if result.terminated[0] else None
+        signals = [float(result.report[place, 0]) for place in _PLACES]
+        return result.observation[0].astype(float), signals, broken, bool(result.truncated[0])
+
+    def measured(self, observation: FloatArray) -> FloatArray:
+        """Return an observation in SI."""
+        measured: FloatArray = observation * self._scales
+        return measured
+
+
+class _Periods:
+    """The loop over one test's control periods."""
+
+    def __init__(
+        self, table: TableProcess, test: Rehearsal, endpoint: socket.socket, faults: tuple[Fault, ...]
+    ) -> None:
+        self._table, self._test, self._endpoint = table, test, endpoint
+        self._guard = HoldThenBrake(table.scenario, table.hold)
+        link: dict[tuple[int, str], str] = {
+            (fault.period, fault.way): fault.kind for fault in faults if fault.kind in LINK_FAULTS
+        }
+        self._link = FaultyLink(endpoint, (LOOPBACK, table.controller.port), link, 1.5 * table.deadline)
+        self._deaths = {fault.period for fault in faults if fault.kind == CONTROLLER_DIES}
+        self._sticks = {fault.period: fault.channel for fault in faults if fault.kind == SENSOR_STICKS}
+        self._stuck: dict[int, tuple[int, float]] = {}  # place: (until, value)
+        self._newest = -1
+        self._happened: list[str] = []
+
+    def run(self, observation: FloatArray, count: int, on_period: Callable[[float], None]) -> None:
+        table, test, period = self._table, self._test, self._table.scenario.control_period
+        began = time.perf_counter() + period
+        shown_at = began
+        for k in range(count):
+            planned = began + k * period
+            if table.paced:
+                wait_until(planned)
+            now = time.perf_counter()
+            injected, self._happened = [], []
+            self._link.flush(now)
+            if k in self._deaths:
+                table.controller.kill()
+                test.injected[CONTROLLER_DIES] += 1
+                injected.append(CONTROLLER_DIES)
+            shown = self._stick(observation, k, injected)
+            flags = BEGINS if k == 0 else 0
+            channels = table.measured(shown)
+            measurement = Datagram(MEASUREMENT, k, k * period, channels, flags, table.test)
+            jitter = now - planned if table.paced else 0.0
+            if fault := self._link.send(k, measurement.pack(), now):
+                injected.append(f"measurement {fault}")
+            command, latency = self._await(k, now, injected)
+            current, mode = self._guard.decide(shown, command)
+            for sensor in self._guard.faulty:
+                self._note(f"faulty sensor {sensor}")
+            if command is None:
+                self._note("no command in time")
+            if mode != "command":
+                self._note(mode)
+            if table.paced and jitter > table.deadline:
+                self._note("table late")
+            observation, signals, broken, ends = table.step(current)
+            test.rows.append([
+                k * period, k, 1e6 * jitter, "" if latency is None else 1e6 * latency,
+                "" if command is None else command, current, mode, "; ".join(self._happened),
+                "; ".join(injected), *signals, *channels,
+            ])  # fmt: skip
+            if broken is not None:
+                test.broken_limit = broken
+            if broken is not None or ends:
+                break
+            if now - shown_at > 0.5:
+                shown_at = now
+                on_period((k + 1) / count)
+        test.injected += self._link.injected
+
+    def _note(self, event: str) -> None:
+        self._happened.append(event)
+        self._test.events[event] += 1
+
+    def _stick(self, observation: FloatArray, k: int, injected: list[str]) -> FloatArray:
+        """Return the observation with the readings that stick as they were."""
+        readings = self._table.scenario.observation.readings
+        if k in self._sticks:
+            place = readings.start + self._sticks[k]
+            self._stuck[place] = (k + STUCK_PERIODS, float(observation[place]))
+            self._test.injected[SENSOR_STICKS] += 1
+            injected.append(SENSOR_STICKS)
+        shown = observation.copy()
+        for place, (until, value) in self._stuck.items():
+            if k < until:
+                shown[place] = value
+        return shown
+
+    def _await(self, k: int, sent: float, injected: list[str]) -> tuple[float | None, float | None]:
+        """Return the command of period k [A] and its latency [s]; None where none comes in time."""
+        until = sent + self._table.deadline
+        found: tuple[float | None, float | None] = (None, None)
+        while True:
+            now = time.perf_counter()
+            self._link.flush(now)
+            arrived = self._link.overdue(now)
+            while True:
+                try:
+                    data = self._endpoint.recv(65536)
+                except (BlockingIOError, ConnectionRefusedError):
+                    break
+                passed, fault = self._link.received(k, data, now)
+                if fault:
+                    injected.append(f"command {fault}")
+                arrived += passed
+            for data in arrived:
+                taken = self._take(data, k)
+                if taken is not None:
+                    found = (taken, now - sent)
+            if found[0] is not None or now >= until:
+                return found
+            select.select([self._endpoint], [], [], max(0.0, min(until - now, 0.0005)))
+
+    def _take(self, data: bytes, k: int) -> float | None:
+        """Return the command that a datagram holds for period k; count what else it is."""
+        given = unpack(data)
+        if given is None or given.kind != COMMAND or len(given.channels) != 1:
+            self._note("corrupt datagram")
+        elif given.test != self._table.test & 0xFFFF:
+            self._note("command of an earlier test")
+        elif given.flags & REFUSED:
+            self._note("refused by the controller")
+        elif not np.isfinite(given.channels[0]):
+            self._note("command not finite")
+        elif given.sequence == self._newest:
+            self._note("command repeated")
+        elif given.sequence < k:
+            self._note("command late")
+        else:
+            self._newest = given.sequence
+            return float(given.channels[0])
+        return None

@@ -1,0 +1,184 @@
+"""True bounds of earthquakes, each computed once: what was found is kept in the user's cache.
+
+A bound depends on the plant, its objective and limits, the target and the reference's base shear, and on
+the code that searches it. All of these make its key; the sensors and the preview do not change it. The
+folder is ``bounds`` in `cache_folder`; it can be deleted at any time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from baselines.planning.bound import THREADS, OptimalEpisode, Start, optimal_episodes
+from baselines.planning.episodes import Episode, episodes
+from shake_env.errors import FileError, ScenarioError, ShakeError
+from shake_env.files import write_json
+from shake_env.model.parameters import FloatArray
+from shake_env.motion.targets import FilteredNoise
+from shake_env.rollout import Earthquake
+from shake_env.scenario.digest import scenario_digest
+from shake_env.scenario.observation import Sensing
+from shake_env.scenario.scenario import Scenario
+
+BATCH = 32  # earthquakes whose trajectories are in memory at a time
+SOLVER_TOLERANCE = 1e-4  # [-] of the cost, what the search may leave beside what its starts differ by
+# What a bound depends on besides the episode: the code that searches it.
+SEARCH_CODE = {
+    "baselines.planning": ("bound.py", "ilqr_kernel.py", "model.py", "period_kernel.py"),
+    "shake_env.kernels": ("lanes.py", "table_adjoint.py"),
+}
+
+
+@dataclass(frozen=True)
+class EpisodeBound:
+    """The least cost of one earthquake over all currents, everything known."""
+
+    cost: float  # mean stage cost; infinite if no start led to one that keeps the limits
+    starts: tuple[Start, ...]
+
+    @property
+    def disagreement(self) -> float:
+        """Cost of the worst start over that of the best one, minus 1 [-]."""
+        costs = [start.cost for start in self.starts if start.feasible]
+        return max(costs) / min(costs) - 1.0 if costs else math.inf
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """The bounds of the first earthquakes of a set; none where there is a reason."""
+
+    episodes: tuple[EpisodeBound, ...] = ()
+    reason: str = ""  # why there are none
+
+    @property
+    def costs(self) -> FloatArray:
+        """Mean stage cost (n,) of each."""
+        return np.array([each.cost for each in self.episodes])
+
+    def to_json(self) -> dict[str, Any]:
+        """Return costs and how far the starts agreed, as plain JSON values."""
+        return {
+            "costs": [float(f"{each.cost:.7g}") for each in self.episodes],
+            "disagreements": [float(f"{each.disagreement:.3g}") for each in self.episodes],
+            "code": search_code(),
+            "reason": self.reason,
+        }
+
+
+def cache_folder() -> Path:
+    """Return the user's cache: SHAKE_ENV_CACHE, or shake-env in XDG_CACHE_HOME or ~/.cache."""
+    given = os.environ.get("SHAKE_ENV_CACHE")
+    if given:
+        return Path(given)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "shake-env"
+
+
+@lru_cache
+def search_code() -> str:
+    """Return a digest of the code that bounds are searched with."""
+    digest = hashlib.sha256()
+    for package, files in SEARCH_CODE.items():
+        for file in files:
+            digest.update(resources.files(package).joinpath(file).read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def earthquake_bounds(
+    scenario: Scenario,
+    earthquakes: Sequence[Earthquake],
+    *,
+    on_progress: Callable[[float], None] = lambda share: None,
+) -> Bounds:
+    """Return the bound of each earthquake, from the cache where it was computed before.
+
+    Parameters
+    ----------
+    scenario, earthquakes
+        As for a roll-out.
+    on_progress
+        Told the share done, 0 to 1.
+
+    Returns
+    -------
+    None, with the reason, where the equations are not the corrected ones or numba is missing.
+    """
+    found: list[EpisodeBound] = []
+    for first in range(0, len(earthquakes), BATCH):
+        batch = earthquakes[first : first + BATCH]
+
+        def told(share: float, first: int = first, number: int = len(batch)) -> None:
+            on_progress((first + share * number) / len(earthquakes))
+
+        try:
+            found += _batch(scenario, batch, told)
+        except ScenarioError as error:
+            return Bounds(reason=error.remedy)
+        except ShakeError as error:
+            if error.field != "numba":
+                raise
+            return Bounds(reason=error.remedy)
+    on_progress(1.0)
+    lost = sum(not math.isfinite(each.cost) for each in found)
+    if lost:
+        return Bounds(reason=f"no currents that keep the limits were found on {lost} earthquakes")
+    return Bounds(tuple(found))
+
+
+def _batch(
+    scenario: Scenario, earthquakes: Sequence[Earthquake], told: Callable[[float], None]
+) -> list[EpisodeBound]:
+    keys = [_key(episode) for episode in episodes(scenario, earthquakes)]
+    found = {key: known for key in keys if (known := _read(key)) is not None}
+    # Copies of one motion are one.
+    missing = [i for i, key in enumerate(keys) if key not in found and keys.index(key) == i]
+    if missing:
+        optima = optimal_episodes(
+            scenario, [earthquakes[i] for i in missing], threads=THREADS, on_step=told
+        )
+        for i, optimum in zip(missing, optima, strict=True):
+            found[keys[i]] = _keep(keys[i], optimum)
+    return [found[key] for key in keys]
+
+
+def _key(episode: Episode) -> str:
+    plant = episode.model.scenario
+    # The motion is what the samples say, and the sensors change nothing that a current can reach.
+    plain = replace(plant, sensing=Sensing(), motion=FilteredNoise())
+    digest = hashlib.sha256(f"{search_code()} {scenario_digest(plain)}".encode())
+    for signal in (episode.target, episode.shear):
+        # Batches of another width round the last bits otherwise.
+        digest.update(np.ascontiguousarray(signal, dtype=np.float32).tobytes())
+    return digest.hexdigest()[:40]
+
+
+def _file(key: str) -> Path:
+    return cache_folder() / "bounds" / f"{key}.json"
+
+
+def _read(key: str) -> EpisodeBound | None:
+    try:
+        known = json.loads(_file(key).read_text(encoding="utf-8"))
+        cost = math.inf if known["cost"] is None else float(known["cost"])
+        return EpisodeBound(cost, tuple(Start(**start) for start in known["starts"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None  # not there, or not whole: it is computed
+
+
+def _keep(key: str, optimum: OptimalEpisode) -> EpisodeBound:
+    bound = EpisodeBound(optimum.cost, optimum.starts)
+    cost = bound.cost if math.isfinite(bound.cost) else None
+    with suppress(FileError):  # a cache that cannot be written is none
+        write_json(_file(key), {"cost": cost, "starts": [asdict(start) for start in bound.starts]})
+    return bound

@@ -1,0 +1,1 @@
+"""The laboratory's loop: logs of tests, identification, posterior, forecast, sequence of shakes."""

@@ -1,0 +1,1 @@
+"""From logs to the parameters of table and specimen, with their uncertainty."""

@@ -1,0 +1,79 @@
+"""Whether a log can be of a test: its motion is the scenario's, its channels are what they say."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agents.laboratory.identification.fit import Fit
+from agents.laboratory.identification.prediction import predicted
+from agents.laboratory.logs.test_log import CURRENT, TARGET, TestLog
+from shake_env.errors import LogError
+from shake_env.model.parameters import FloatArray
+from shake_env.motion.targets import RecordedMotion, target_history
+from shake_env.scenario.scenario import Scenario
+
+CLOSE = 1e-3  # of the motion's rms: the most by which a target may differ from it
+EXPLAINED = 0.5  # share of a channel's power that the fitted model must explain
+ALIKE = 0.9  # correlation at which a channel is taken for another one
+
+
+def require_motion(log: TestLog, scenario: Scenario) -> None:
+    """Raise LogError unless a log's target is the recorded motion of a scenario, from its start.
+
+    A log that was ended early by a limit holds the first part of it. Of filtered noise nothing is known
+    but its target, which the log itself holds.
+    """
+    motion = scenario.motion
+    if not isinstance(motion, RecordedMotion):
+        return
+    history = target_history(motion, scenario.physics_step).acceleration
+    wanted = history[scenario.substeps :: scenario.substeps]
+    target = log.channels[TARGET]
+    if len(target) > len(wanted) + 1:
+        remedy = f"the motion {motion.source.name} has {len(wanted)} control periods"
+        raise LogError(f"{log.name}, samples", log.samples, remedy)
+    wanted = np.pad(wanted, (0, max(0, len(target) - len(wanted))))[: len(target)]
+    power, size = float(np.mean(wanted**2)), float(np.mean(target**2))
+    error = float(np.mean((target - wanted) ** 2))
+    if error <= CLOSE**2 * max(power, 1e-300):
+        return
+    alike = float(np.mean(target * wanted) / np.sqrt(max(power * size, 1e-300)))
+    if alike > 0.999:
+        why = f"is this motion at {np.sqrt(size / power):.4g} times its amplitude"
+    else:
+        why = f"is another motion (correlation {alike:.3f})"
+    raise LogError(
+        f"{log.name}, {TARGET}", why, f"the log must hold {motion.source.name} as the scenario has it"
+    )
+
+
+def require_explained(fit: Fit) -> None:
+    """Raise LogError where the fitted model does not explain a channel, and say which it looks like."""
+    for each, shares in zip(fit.likelihood.data, fit.likelihood.fit_of(fit.mode), strict=True):
+        poor = [name for name, share in shares.items() if share < EXPLAINED]
+        if not poor or len(each.log.channels[CURRENT]) == 0:
+            continue
+        # The prior's table: a fit to channels that are not what they say leads anywhere.
+        model = fit.likelihood.scenario
+        readings = predicted([model], each.log.channels[CURRENT], each.channels)[0]
+        words = []
+        for name in poor:
+            measured = each.log.channels[name]
+            like = [abs(_correlation(measured, readings[:, c])) for c in range(len(each.channels))]
+            best = each.channels[int(np.argmax(like))]
+            if best != name and max(like) > max(ALIKE, like[each.channels.index(name)] + 0.1):
+                words.append(f"{name} looks like {best} (correlation {max(like):.2f})")
+            else:
+                share = 100.0 * max(shares[name], 0.0)
+                words.append(f"of {name} the model explains {share:.0f} % of the power")
+        remedy = (
+            "the log is of another table, or its channels are shuffled or scaled wrongly: "
+            "check them, or leave them out by --without"
+        )
+        raise LogError(each.log.name, "; ".join(words), remedy)
+
+
+def _correlation(a: FloatArray, b: FloatArray) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(a @ b) / size if size > 0.0 else 0.0

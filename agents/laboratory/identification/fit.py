@@ -1,0 +1,139 @@
+"""The most probable parameters by Gauss-Newton steps, and the normal posterior around them (Laplace)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from agents.laboratory.identification.likelihood import Likelihood
+from agents.laboratory.identification.parameters import Prior, from_scale, within
+from shake_env.model.parameters import FloatArray
+
+STARTS = 96  # draws of the prior that the search begins at the best of
+STEP = 1e-3  # of a prior standard deviation, between the tables that slopes are taken from
+ROUNDS = 6  # of discrepancy and fit, at most
+FIRST_SHARE = 0.3  # of discrepancy, while the parameters are far off
+SETTLED = 0.1  # relative change of the shares that ends the rounds
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The normal posterior of a log's parameters, on their scales."""
+
+    likelihood: Likelihood
+    prior: Prior
+    mode: FloatArray  # (p,)
+    covariance: FloatArray  # (p, p)
+    cost: float  # minus log posterior density at the mode, but a constant
+    seconds: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.prior.names
+
+    @property
+    def deviations(self) -> FloatArray:
+        """Standard deviations (p,)."""
+        deviations: FloatArray = np.sqrt(np.diag(self.covariance))
+        return deviations
+
+    @property
+    def correlation(self) -> FloatArray:
+        """Correlations (p, p)."""
+        correlation: FloatArray = self.covariance / np.outer(self.deviations, self.deviations)
+        return correlation
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Most probable values, SI."""
+        return dict(zip(self.names, from_scale(self.names, self.mode).tolist(), strict=True))
+
+    def draw(self, number: int, stream: np.random.Generator) -> FloatArray:
+        """Return draws (number, p) of the normal posterior."""
+        normal = Prior(self.names, self.mode, self.covariance)
+        return normal.draw(number, stream)
+
+    def log_posterior(self, points: FloatArray) -> FloatArray:
+        """Return the log posterior density (N,), but a constant, at N points (N, p)."""
+        white = (points - self.prior.mean) @ self.prior.root.T
+        density: FloatArray = self.likelihood.log_density(points) - 0.5 * np.sum(white**2, axis=1)
+        return density
+
+
+def fit(
+    likelihood: Likelihood,
+    prior: Prior,
+    *,
+    discrepancy: bool = True,
+    seed: int = 0,
+    on_progress: Callable[[float], None] = lambda share: None,
+) -> Fit:
+    """Return the most probable parameters and the normal posterior around them.
+
+    Parameters
+    ----------
+    likelihood, prior
+        Of the same parameters.
+    discrepancy
+        Whether what the model lacks is estimated; False trusts the model up to the sensors' noise.
+    seed
+        Of the draws that the search begins from.
+    on_progress
+        Told the share of the rounds done, 0 to 1.
+    """
+    begun = time.perf_counter()
+    stream = np.random.default_rng(seed)
+    draws = np.concatenate([prior.mean[None], prior.draw(STARTS, stream)])
+    far = Likelihood.of(likelihood.scenario, prior.names, likelihood.data, FIRST_SHARE)
+    root = prior.root
+    costs = far.log_density(draws) - 0.5 * np.sum(((draws - prior.mean) @ root.T) ** 2, axis=1)
+    found = _search(far, prior, draws[int(np.argmax(costs))])
+    on_progress(1.0 / ROUNDS)
+    current = likelihood
+    for number in range(2, ROUNDS + 1):
+        last = current
+        current = last.with_discrepancy(found.mode) if discrepancy else last
+        found = _search(current, prior, found.mode)
+        on_progress(number / ROUNDS)
+        change = max(
+            float(np.max(np.abs(new - old) / np.maximum(old, 1e-4), initial=0.0))
+            for new, old in zip(current.shares, last.shares, strict=True)
+        )
+        if change < SETTLED or not discrepancy:
+            break
+    on_progress(1.0)
+    return Fit(
+        found.likelihood, prior, found.mode, found.covariance, found.cost, time.perf_counter() - begun
+    )
+
+
+def _search(likelihood: Likelihood, prior: Prior, start: FloatArray) -> Fit:
+    """Return the fit from a start (p,), in coordinates in which the prior is standard normal."""
+    factor, p = np.linalg.inv(prior.root), len(prior.names)
+    steps = np.concatenate([np.zeros((1, p)), STEP * np.eye(p), -STEP * np.eye(p)])
+    last: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+
+    def both(white: FloatArray) -> tuple[FloatArray, FloatArray]:
+        key = white.tobytes()
+        if key not in last:
+            points = prior.mean + (white + steps) @ factor.T
+            rows = likelihood.residuals(within(prior.names, points))
+            slopes = (rows[1 : p + 1] - rows[p + 1 :]).T / (2.0 * STEP)
+            last.clear()
+            last[key] = np.concatenate([rows[0], white]), np.concatenate([slopes, np.eye(p)])
+        return last[key]
+
+    begin = prior.root @ (start - prior.mean)
+    result = least_squares(
+        lambda white: both(white)[0], begin, lambda white: both(white)[1],
+        method="trf", ftol=1e-5, xtol=1e-6, gtol=1e-6, max_nfev=30,
+    )  # fmt: skip
+    slopes = both(result.x)[1]
+    covariance = factor @ np.linalg.inv(slopes.T @ slopes) @ factor.T
+    mode = within(prior.names, prior.mean + factor @ result.x)
+    return Fit(likelihood, prior, mode, 0.5 * (covariance + covariance.T), float(result.cost), 0.0)

@@ -1,0 +1,157 @@
+"""The posterior of a table and a specimen: samples, where they come from, and its file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.laboratory.identification.fit import Fit
+from agents.laboratory.identification.parameters import LINEAR, Prior, from_scale
+from agents.laboratory.logs.test_log import scenario_of_text, text_of_scenario
+from shake_env.errors import FileError, ShakeError
+from shake_env.files import write_text
+from shake_env.model.parameters import FloatArray
+from shake_env.scenario.digest import scenario_digest
+from shake_env.scenario.plant_samples import FORMAT, VERSION, PlantSamples, read_posterior_file
+from shake_env.scenario.scenario import Scenario
+
+WIDEST = (
+    1e-9  # added to a covariance of samples, of a squared prior deviation, so that it has an inverse
+)
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Samples of the parameters of one table and specimen."""
+
+    scenario: Scenario  # nominal model, without what is drawn
+    names: tuple[str, ...]
+    points: FloatArray  # (samples, p) on the parameters' scales
+    method: str  # laplace or ensemble
+    seed: int
+    logs: tuple[tuple[str, str], ...]  # name and digest of the data of each log
+    shares: tuple[tuple[str, float], ...]  # discrepancy of each channel, the largest of all logs [-]
+    r_hat: tuple[float, ...] | None = None  # of each parameter; None: independent draws
+    effective: tuple[float, ...] | None = None  # effective sample size of each parameter
+
+    @classmethod
+    def of_fit(cls, fit: Fit, samples: int, seed: int) -> Posterior:
+        """Return the normal posterior of a fit by independent draws."""
+        likelihood = fit.likelihood
+        largest: dict[str, float] = {}
+        for each, share in zip(likelihood.data, likelihood.shares, strict=True):
+            for name, value in zip(each.channels, share.tolist(), strict=True):
+                largest[name] = max(value, largest.get(name, 0.0))
+        return cls(
+            scenario=likelihood.scenario,
+            names=fit.names,
+            points=fit.draw(samples, np.random.default_rng(seed)),
+            method="laplace",
+            seed=seed,
+            logs=tuple((each.log.name, each.log.sha256) for each in likelihood.data),
+            shares=tuple(largest.items()),
+        )
+
+    @property
+    def values(self) -> FloatArray:
+        """Samples (samples, p) in SI."""
+        return from_scale(self.names, self.points)
+
+    @property
+    def mean(self) -> dict[str, float]:
+        """Value in SI of the mean on each parameter's scale."""
+        middle = from_scale(self.names, self.points.mean(axis=0))
+        return dict(zip(self.names, middle.tolist(), strict=True))
+
+    @property
+    def nominal(self) -> Scenario:
+        """The scenario at the posterior's mean: what controllers are designed on."""
+        return self.scenario.with_plant(self.mean)
+
+    @property
+    def uncertain(self) -> Scenario:
+        """The scenario at the mean, with the samples as its uncertainty."""
+        rows = tuple(map(tuple, self.values.tolist()))
+        samples = PlantSamples(
+            names=self.names,
+            rows=rows,
+            channels=tuple(name for name, _ in self.shares),
+            shares=tuple(share for _, share in self.shares),
+        )
+        return replace(self.nominal, uncertainty=samples)
+
+    def prior(self) -> Prior:
+        """Return the normal prior of the next update: mean and covariance of the samples."""
+        covariance = np.atleast_2d(np.cov(self.points.T))
+        ridge = WIDEST + 1e-12 * np.diag(covariance)
+        return Prior(self.names, self.points.mean(axis=0), covariance + np.diag(ridge))
+
+    def interval(self, probability: float = 0.9) -> dict[str, tuple[float, float]]:
+        """Return the central interval of each parameter, SI."""
+        ends = [0.5 - 0.5 * probability, 0.5 + 0.5 * probability]
+        low, high = np.quantile(self.values, ends, axis=0)
+        return {n: (float(a), float(b)) for n, a, b in zip(self.names, low, high, strict=True)}
+
+    def write(self, file: Path) -> None:
+        """Write the file, which `[uncertainty.posterior]` of a scenario's file names."""
+        content: dict[str, Any] = {
+            "format": FORMAT,
+            "version": VERSION,
+            "names": list(self.names),
+            "linear": [name for name in self.names if name in LINEAR],
+            "method": self.method,
+            "seed": self.seed,
+            "logs": [list(pair) for pair in self.logs],
+            "shares": dict(self.shares),
+            "r_hat": None if self.r_hat is None else list(self.r_hat),
+            "effective": None if self.effective is None else list(self.effective),
+            "digest": scenario_digest(self.scenario),
+            "scenario": json.loads(text_of_scenario(self.scenario)),
+            "samples": self.values.tolist(),
+        }
+        write_text(file, json.dumps(content) + "\n")
+
+
+def read_posterior(file: Path) -> Posterior:
+    """Return the posterior of a file.
+
+    Raises
+    ------
+    FileError
+        If it cannot be read, is none, or its scenario is not that of its digest.
+    """
+    content = read_posterior_file(file)
+    try:
+        scenario = scenario_of_text(json.dumps(content["scenario"]))
+        names = tuple(content["names"])
+        samples = np.array(content["samples"], dtype=float)
+        points = np.where([n in LINEAR for n in names], samples, np.log(np.maximum(samples, 1e-300)))
+        posterior = Posterior(
+            scenario=scenario,
+            names=names,
+            points=points,
+            method=str(content["method"]),
+            seed=int(content["seed"]),
+            logs=tuple((str(a), str(b)) for a, b in content["logs"]),
+            shares=tuple((str(k), float(v)) for k, v in content["shares"].items()),
+            r_hat=_numbers(content.get("r_hat")),
+            effective=_numbers(content.get("effective")),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        if isinstance(error, ShakeError):
+            raise FileError(f"{file}, {error.field}", error.value, error.remedy) from None
+        raise FileError("posterior", str(file), f"is damaged ({type(error).__name__})") from None
+    if posterior.points.shape[1:] != (len(names),) or not np.isfinite(posterior.points).all():
+        raise FileError(f"{file}, samples", posterior.points.shape, f"need {len(names)} finite numbers")
+    if content.get("digest") != scenario_digest(scenario):
+        raise FileError(f"{file}, digest", content.get("digest"), "is not that of its scenario")
+    return posterior
+
+
+def _numbers(values: Sequence[float] | None) -> tuple[float, ...] | None:
+    return None if values is None else tuple(float(value) for value in values)
