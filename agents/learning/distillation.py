@@ -199,7 +199,7 @@ class Distillation(BaseAlgorithm):
         self.policy.set_training_mode(True)
         rate = self.lr_schedule(self._current_progress_remaining)
         update_learning_rate(self.policy.optimizer, rate)
-        # In units of the labels, so that neither the bound on the gradient nor Adam's epsilon minds them.
+        # In units of the labels: neither the bound on the gradient nor Adam's epsilon minds them then.
         size = sum(float(np.sum(each.correction**2)) for each in self.rounds)
         unit = max(size / sum(each.samples for each in self.rounds), 1e-12)
         losses = []

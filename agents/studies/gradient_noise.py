@@ -2,8 +2,8 @@
 
 A policy explores about a base controller with white noise of standard deviation s. Any such gradient
 is a mean of ``A_t e_t phi_t / s``, with e the standard normal exploration, phi what the policy sees and
-A an estimate of the advantage. Estimators differ in A alone. The exact gradient along the same linear law
-comes from the adjoint of the closed loop, so that the bias of an estimator is seen beside its noise.
+A an estimate of the advantage. Estimators differ in A alone. The exact gradient along the same linear
+law comes from the closed loop's adjoint, so that the bias of an estimator is seen beside its noise.
 """
 
 from __future__ import annotations
