@@ -197,5 +197,8 @@ class APGOptions:
     """What the policy can add to that law, as a fraction of the current limit."""
     precision: Literal["float64", "float32"] = "float64"
     """Precision of the plant's state."""
+    step_check: bool = False
+    """Whether a step is halved while its own window would cost more with it, so that a large learning
+    rate makes no loop unstable; a step then takes a third longer."""
     device: str = "cpu"
     """Torch device. On a CPU a gradient takes tens of milliseconds."""

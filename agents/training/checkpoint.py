@@ -55,7 +55,7 @@ MOST_STEPS = 2**53
 # What a learner counts, beside its parameters; those that an algorithm has not are left out.
 _COUNTERS = (
     "num_timesteps", "_total_timesteps", "_num_timesteps_at_start", "_episode_num", "_n_updates",
-    "retreats",
+    "retreats", "halvings",
 )  # fmt: skip
 _REMEMBERED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 

@@ -110,6 +110,7 @@ class TrainConfig:
             "log_std_init", "target_entropy", "base_controller", "actor_bias", "terminal_value",
             "gru_hidden_size", "precision", "device", "top_quantiles_to_drop_per_net",
             "checkpoint_segment_length", "critic_warmup_fraction", "paired", "direct_path", "teacher",
+            "step_check",
         )  # fmt: skip
         every = (
             self.ppo, self.sac, self.td3, self.tqc, self.recurrent_ppo, self.apg, self.dagger,
