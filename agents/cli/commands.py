@@ -96,6 +96,11 @@ COMMANDS = {
     "tune-training": Command(
         "agents.cli.tune_training", "TuneTraining", "Search a training configuration by short runs."
     ),
+    "gradient-noise": Command(
+        "agents.cli.gradient_noise",
+        "GradientNoiseCommand",
+        "How much of a score-function gradient is signal, paired and unpaired.",
+    ),
     "reproduce": Command(
         "agents.cli.reproduce", "Reproduce", "Tables and figures of Gavin and Hoagg (2009)."
     ),
