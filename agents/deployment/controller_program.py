@@ -94,8 +94,9 @@ def valve_numbers(scenario: Scenario) -> dict[str, Any]:
     """Return what the opening of a scenario's servovalve depends on; None where nothing limits it."""
     valve = scenario.nonlinearity.valve
     limits = {name: getattr(valve, name) for name in ("spool_limit", "supply_pressure")}
-    found = {name: value if math.isfinite(value) else None for name, value in limits.items()}
-    return {**found, "dead_band": valve.dead_band}
+    limits = {name: value if math.isfinite(value) else None for name, value in limits.items()}
+    rest = {name: getattr(valve, name) for name in ("rated", "missing", "supply_sag", "dead_band")}
+    return {**limits, **rest}
 
 
 def plain(text: str) -> str:

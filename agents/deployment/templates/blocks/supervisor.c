@@ -110,7 +110,7 @@ static void {{ N }}_look({{ b.type }} *s, const real *readings, int *faulty, rea
 
 {% if b.s > 4 %}
         if (i == 4) { /* undo the accelerometer's low-pass */
-            value = s->filtered + (value - s->filtered) / {{ b.follow|real }};
+            value += {{ b.lead|real }} * (value - s->filtered);
         }
 {% endif %}
         value = isfinite(value) ? value : {{ 0.0|real }};

@@ -1,14 +1,4 @@
 {# What a table gives at the end of a period; part of other blocks. #}
-{% macro state(b) %}
-{% if b.s %}
-    real filtered[{{ b.s }}]; /* outputs of the sensors' low-passes [SI] */
-{% endif %}
-{% endmacro %}
-{% macro reset(b) %}
-{% if b.s %}
-    fill(s->filtered, {{ b.s }}, {{ 0.0|real }});
-{% endif %}
-{% endmacro %}
 {% macro code(b) %}
 /* Signals of the table, then floors, then readings of the sensors without noise and offset; SI. */
 static void {{ b.name }}_give({{ b.type }} *s, real acceleration, real shear, real *y)
@@ -22,12 +12,13 @@ static void {{ b.name }}_give({{ b.type }} *s, real acceleration, real shear, re
     product({{ b.name }}_floors, {{ b.floors.shape[0] }}, {{ b.floors.shape[1] }}, &s->state[4], &y[6]);
 {% if b.s %}
     for (int i = 0; i < {{ b.s }}; i++) {
-        const real signal = y[{{ b.name }}_signals[i]];
+        /* A low-pass is a state of the table; so are some signals. */
+        const int place = {{ b.name }}_places[i];
+        const real signal = (place >= 0) ? s->state[place] : y[{{ b.name }}_signals[i]];
 
-        s->filtered[i] += {{ b.name }}_follow[i] * (signal - s->filtered[i]);
         y[{{ 6 + b.floors.shape[0] }} + i] = ({{ b.name }}_rounds[i] != 0)
-            ? real_rint(s->filtered[i] / {{ b.name }}_resolution[i]) * {{ b.name }}_resolution[i]
-            : s->filtered[i];
+            ? real_rint(signal / {{ b.name }}_resolution[i]) * {{ b.name }}_resolution[i]
+            : signal;
     }
 {% endif %}
 }
