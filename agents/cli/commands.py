@@ -51,6 +51,9 @@ COMMANDS = {
     "forecast": Command(
         "agents.cli.laboratory.forecast", "ForecastCommand", "What a test will do, before it."
     ),
+    "sequence": Command(
+        "agents.cli.laboratory.sequence", "SequenceCommand", "Shakes of rising amplitude, plan to close."
+    ),
     "play": Command("agents.cli.play", "Play", "A controller at work, in a window or as a film."),
     "motion": Command(
         "agents.cli.motion", "Motion", "A recorded motion, and the scale that the table needs."

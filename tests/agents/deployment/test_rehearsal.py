@@ -66,6 +66,7 @@ def test_channels_are_the_observation_in_si(name):
 
 def test_an_identifier_is_one():
     assert identifier("2 x-y [m]") == "x_2_x_y_m"
+    assert identifier("ground filter x_w'") == "ground_filter_x_w_rate"
 
 
 # Faults
