@@ -140,7 +140,7 @@ class DaggerOptions:
 
     teacher: str = "nmpc"
     """Controller that is asked what it would do, by its name; it sees what the scenario shows."""
-    n_envs: int = 32
+    n_envs: int = 16
     """Tables run side by side, an episode each round."""
     learning_rate: float = 1e-3
     """Initial learning rate; it falls linearly to zero."""
@@ -148,7 +148,7 @@ class DaggerOptions:
     """Labels kept from the last rounds."""
     batch_size: int = 4096
     """Labels of one gradient step."""
-    n_epochs: int = 4
+    n_epochs: int = 8
     """Passes over the kept labels each round."""
     sequence_length: int = 50
     """Control periods that the gradient of a policy with memory looks back through."""
@@ -158,8 +158,10 @@ class DaggerOptions:
     """Whether the actor has biases (see PPO's); a policy with memory always has them."""
     base_controller: BaseLaw = "lqg-searched"
     """Law that the policy corrects, as PPO's."""
-    residual_scale: float = 0.3
-    """What the policy can add to that law, as a fraction of the current limit."""
+    residual_scale: float = 0.03
+    """What the policy can add to that law, as a fraction of the current limit. A step of the optimiser
+    moves the action by a share of it, so that a scale far above the teacher's own correction (0.25 % of
+    the limit, rms, in laboratory) learns slowly."""
 
 
 @dataclass(frozen=True, kw_only=True)

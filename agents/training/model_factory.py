@@ -285,6 +285,7 @@ def _distillation(config: TrainConfig, policy: dict[str, Any], env: ShakeTableVe
     if chosen.gru_hidden_size:
         kind, policy = GRUPolicy, {**policy, "units": chosen.gru_hidden_size}
     policy["log_std_init"] = -3.0  # for PPO to go on from
+    policy["optimizer_kwargs"] = {"eps": 1e-8}  # as for gradients through the plant
     return Distillation(
         kind,
         env,

@@ -9,7 +9,7 @@ from shake_env import ShakeTableVectorEnv, make_scenario, numba_support
 from shake_env.errors import ScenarioError
 from shake_env.simulation.simulation import Simulation
 
-SCENARIOS = ("linear", "laboratory", "yielding", "unknown-specimen", "records")
+SCENARIOS = ("linear", "laboratory", "yielding", "unknown-specimen", "field", "records")
 
 
 @pytest.fixture(params=["compiled", "readable"])
