@@ -152,7 +152,10 @@ def build_test(folder: Path, name: str, flags: Sequence[str] = (), cc: str | Non
 
 
 def step_times(folder: Path, name: str) -> dict[str, float]:
-    """Return median, 99.9 % and worst time [us] of 100 000 steps of a written export's program."""
+    """Return median and worst time [us] of 100 000 steps of a written export's program.
+
+    `worst_us` is by the clock, `worst_processor_us` in processor time.
+    """
     test = build_test(folder, name)
     done = subprocess.run([str(test), "--time"], capture_output=True, text=True, check=True)
     times: dict[str, float] = json.loads(done.stdout)

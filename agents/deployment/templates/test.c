@@ -79,7 +79,8 @@ static int ascending(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-static int measure(void)
+/* Times of steps by a clock, in ascending order; return the sum of the first outputs. */
+static double measure(clockid_t clock)
 {
     {{ name }}_real outputs[{{ NAME }}_OUTPUTS];
     double sum = 0.0;
@@ -92,15 +93,25 @@ static int measure(void)
         for (int i = 0; i < {{ NAME }}_INPUTS; i++) {
             inputs[i] = ({{ name }}_real)recorded_inputs[k % RECORDED][i];
         }
-        clock_gettime(CLOCK_MONOTONIC, &before);
+        clock_gettime(clock, &before);
         {{ name }}_step(&memory, inputs, outputs);
-        clock_gettime(CLOCK_MONOTONIC, &after);
+        clock_gettime(clock, &after);
         sum += (double)outputs[0];
         times[k] = 1e6 * (double)(after.tv_sec - before.tv_sec) + 1e-3 * (double)(after.tv_nsec - before.tv_nsec);
     }
     qsort(times, TIMED, sizeof times[0], ascending);
-    printf("{\"steps\": %d, \"median_us\": %.3f, \"p999_us\": %.3f, \"worst_us\": %.3f, \"sum\": %.9g}\n",
-        TIMED, times[TIMED / 2], times[TIMED - TIMED / 1000], times[TIMED - 1], sum);
+    return sum;
+}
+
+/* By the clock on the wall, and by the processor's time of this thread, which leaves out when others ran. */
+static int report(void)
+{
+    const double sum = measure(CLOCK_MONOTONIC);
+    const double median = times[TIMED / 2], worst = times[TIMED - 1];
+
+    (void)measure(CLOCK_THREAD_CPUTIME_ID);
+    printf("{\"steps\": %d, \"median_us\": %.3f, \"worst_us\": %.3f, \"worst_processor_us\": %.3f, \"sum\": %.9g}\n",
+        TIMED, median, worst, times[TIMED - 1], sum);
     return 0;
 }
 
@@ -110,7 +121,7 @@ int main(int argc, char **argv)
         return stream();
     }
     if (argc > 1 && strcmp(argv[1], "--time") == 0) {
-        return measure();
+        return report();
     }
     return check();
 }
