@@ -82,8 +82,10 @@ def _sensors(scenario: Scenario) -> tuple[dict[str, Any], dict[str, Any], dict[s
     integers: dict[str, Any] = {}
     if layout.reading_names:
         order = [channel.name for channel in output_channels(scenario)]
-        arrays |= {"follow": measurement.follow, "resolution": measurement.resolution}
-        integers["signals"] = [order.index(name) for name in layout.reading_names]
+        arrays["resolution"] = measurement.resolution
+        placed = zip(layout.reading_names, measurement.places.tolist(), strict=True)
+        integers["places"] = [place if place >= 0 else order.index(name) for name, place in placed]
+        integers["from_state"] = (measurement.places >= 0).astype(int).tolist()
         integers["rounds"] = measurement.rounded.astype(int).tolist()
     return arrays, integers, {"s": len(layout.reading_names)}
 
