@@ -30,8 +30,8 @@ class Channel:
 
 
 def identifier(text: str) -> str:
-    """Return a name of letters, digits and underscores that begins with a letter."""
-    plain = re.sub(r"[^0-9A-Za-z]+", "_", text).strip("_")
+    """Return a name of letters, digits and underscores that begins with a letter; a prime is a rate."""
+    plain = re.sub(r"[^0-9A-Za-z]+", "_", text.replace("'", " rate")).strip("_")
     return plain if plain[:1].isalpha() else f"x_{plain}"
 
 

@@ -66,6 +66,7 @@ def test_channels_are_the_observation_in_si(name):
 
 def test_an_identifier_is_one():
     assert identifier("2 x-y [m]") == "x_2_x_y_m"
+    assert identifier("ground filter x_w'") == "ground_filter_x_w_rate"
 
 
 # Faults
@@ -196,6 +197,26 @@ def test_without_faults_the_rehearsal_is_the_simulation():
     np.testing.assert_allclose(
         test.column("current") / scenario.current_limit, decisions.actions[:, 0], atol=2e-7
     )
+
+
+@needs_compiler
+def test_the_exported_table_takes_the_simulated_ones_place(tmp_path):
+    """Both programs in C: the same test, but for the order in which noise and rounding come."""
+    scenario, columns = make_scenario("laboratory"), []
+    for table in ("python", "c"):
+        folder = tmp_path / table
+        plan = RehearsalPlan(seconds=1.0, paced=False, table=table, hold=200)
+        found = rehearse("pid", scenario, plan, folder)
+        assert found["table"] == table and found["hard_limits_broken"] == 0
+        with (folder / "test-1.csv").open(encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        columns.append([float(row["table_velocity [m/s]"]) for row in rows])
+    simulated, exported = np.array(columns)
+    assert np.std(exported) > 0.003  # m/s, in the first second
+    assert np.max(np.abs(exported - simulated)) < 0.02 * np.max(np.abs(simulated))
+    with pytest.raises(ShakeError, match="full state"):
+        plan = RehearsalPlan(seconds=0.1, paced=False, table="c")
+        rehearse("lqr", make_scenario("linear"), plan)
 
 
 @pytest.mark.slow
