@@ -51,6 +51,9 @@ COMMANDS = {
     "forecast": Command(
         "agents.cli.laboratory.forecast", "ForecastCommand", "What a test will do, before it."
     ),
+    "sequence": Command(
+        "agents.cli.laboratory.sequence", "SequenceCommand", "Shakes of rising amplitude, plan to close."
+    ),
     "play": Command("agents.cli.play", "Play", "A controller at work, in a window or as a film."),
     "motion": Command(
         "agents.cli.motion", "Motion", "A recorded motion, and the scale that the table needs."
@@ -92,6 +95,11 @@ COMMANDS = {
     ),
     "tune-training": Command(
         "agents.cli.tune_training", "TuneTraining", "Search a training configuration by short runs."
+    ),
+    "gradient-noise": Command(
+        "agents.cli.gradient_noise",
+        "GradientNoiseCommand",
+        "How much of a score-function gradient is signal, paired and unpaired.",
     ),
     "reproduce": Command(
         "agents.cli.reproduce", "Reproduce", "Tables and figures of Gavin and Hoagg (2009)."

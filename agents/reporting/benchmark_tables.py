@@ -16,9 +16,8 @@ def markdown(result: dict[str, Any]) -> str:
     """Return a result as a Markdown table."""
     head = (
         "controller", "information", "cost / bound [95 %]", f"cost / {result['reference']} [95 %]",
-        "regret closed %",
-"accel. % rms, peak", "shear % rms, peak",
-        "lag ms", "spectrum %", "Arias", "drift", "energy", "ended", "us",
+        "regret closed %", "accel. % rms, peak", "shear % rms, peak", "lag ms",
+        "spectrum %", "Arias", "drift", "energy", "ended", "us",
     )  # fmt: skip
     rows, own = [], result["information"]
     for row in result["rows"]:

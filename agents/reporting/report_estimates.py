@@ -87,7 +87,7 @@ class Drawn:
         for quake in earthquakes:
             stream = earthquake_stream(quake.seed)
             quake.motion.pick(stream)
-            rows.append(scenario.uncertainty.sample(stream))
+            rows.append(scenario.uncertainty.sample(stream, scenario.specimen.stories))
         names = rows[0].keys() if rows else ()
         return cls({name: np.array([row[name] for row in rows]) for name in names})
 

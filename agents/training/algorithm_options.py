@@ -135,6 +135,34 @@ class TQCOptions(SACOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class DaggerOptions:
+    """On-policy distillation of a controller into a policy (see `distillation`)."""
+
+    teacher: str = "nmpc"
+    """Controller that is asked what it would do, by its name; it sees what the scenario shows."""
+    n_envs: int = 32
+    """Tables run side by side, an episode each round."""
+    learning_rate: float = 1e-3
+    """Initial learning rate; it falls linearly to zero."""
+    buffer_size: int = 400_000
+    """Labels kept from the last rounds."""
+    batch_size: int = 4096
+    """Labels of one gradient step."""
+    n_epochs: int = 4
+    """Passes over the kept labels each round."""
+    sequence_length: int = 50
+    """Control periods that the gradient of a policy with memory looks back through."""
+    gru_hidden_size: int = 0
+    """Width of the policy's gated recurrent unit; 0: a policy without memory."""
+    actor_bias: bool = True
+    """Whether the actor has biases (see PPO's); a policy with memory always has them."""
+    base_controller: BaseLaw = "lqg-searched"
+    """Law that the policy corrects, as PPO's."""
+    residual_scale: float = 0.3
+    """What the policy can add to that law, as a fraction of the current limit."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class APGOptions:
     """Analytic policy gradient: back-propagation through the plant (see `analytic_gradient`)."""
 
@@ -169,5 +197,8 @@ class APGOptions:
     """What the policy can add to that law, as a fraction of the current limit."""
     precision: Literal["float64", "float32"] = "float64"
     """Precision of the plant's state."""
+    step_check: bool = False
+    """Whether a step is halved while its own window would cost more with it, so that a large learning
+    rate makes no loop unstable; a step then takes a third longer."""
     device: str = "cpu"
     """Torch device. On a CPU a gradient takes tens of milliseconds."""

@@ -24,6 +24,7 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from agents.learning.apg.algorithm import AnalyticPolicyGradient
+from agents.learning.distillation import Distillation, Labels
 from agents.learning.networks import DirectPolicy
 from agents.learning.paired import PairedVecEnv
 from agents.run_directory import CHECKPOINTS, described, parse_json
@@ -54,7 +55,7 @@ MOST_STEPS = 2**53
 # What a learner counts, beside its parameters; those that an algorithm has not are left out.
 _COUNTERS = (
     "num_timesteps", "_total_timesteps", "_num_timesteps_at_start", "_episode_num", "_n_updates",
-    "retreats",
+    "retreats", "halvings",
 )  # fmt: skip
 _REMEMBERED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -181,6 +182,7 @@ def _state(model: Model, env: TrainingTables) -> dict[str, Any]:
         "variables": {name: _part(model, name) for name in variables if _part(model, name) is not None},
         "memory": _memory(model),
         "replay_buffer": None if buffer is None else _replay(buffer),
+        "rounds": [vars(each) for each in model.rounds] if isinstance(model, Distillation) else [],
         "tables": tables_state(base_tables(env)),
         "action_space": generator_state(model.action_space.np_random),
         "generators": global_generators(),
@@ -205,6 +207,8 @@ def _restore(model: Model, env: TrainingTables, state: Mapping[str, Any]) -> Non
     model._last_episode_starts = state["last_episode_starts"]
     _restore_parameters(model, state)
     _restore_memory(model, env, state["memory"])
+    if isinstance(model, Distillation):
+        model.rounds = [Labels(**each) for each in state["rounds"]]
     if isinstance(model, OffPolicyAlgorithm):
         assert model.replay_buffer is not None  # made with the model
         _refill(model.replay_buffer, state["replay_buffer"])

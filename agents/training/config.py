@@ -17,6 +17,7 @@ from agents.scenario_options import ScenarioOptions
 from agents.seeds import MOST_RUNS
 from agents.training.algorithm_options import (
     APGOptions,
+    DaggerOptions,
     PPOOptions,
     RecurrentPPOOptions,
     SACOptions,
@@ -26,7 +27,9 @@ from agents.training.algorithm_options import (
 from shake_env.errors import ParameterError, RunDirectoryError
 from shake_env.model.parameters import require_non_negative, require_positive
 
-Options = PPOOptions | SACOptions | TD3Options | TQCOptions | RecurrentPPOOptions | APGOptions
+Options = (
+    PPOOptions | SACOptions | TD3Options | TQCOptions | RecurrentPPOOptions | APGOptions | DaggerOptions
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +42,7 @@ class TrainConfig:
         If a number is outside its range.
     """
 
-    algorithm: Literal["ppo", "sac", "td3", "tqc", "recurrent-ppo", "apg"] = "ppo"
+    algorithm: Literal["ppo", "sac", "td3", "tqc", "recurrent-ppo", "apg", "dagger"] = "ppo"
     """Learning algorithm."""
     scenario: ScenarioOptions = field(default_factory=ScenarioOptions)
     """What is learned on."""
@@ -55,6 +58,8 @@ class TrainConfig:
     """Options of PPO with a memory, used with --algorithm recurrent-ppo."""
     apg: APGOptions = field(default_factory=APGOptions)
     """Options of the analytic policy gradient, used with --algorithm apg."""
+    dagger: DaggerOptions = field(default_factory=DaggerOptions)
+    """Options of the distillation of a controller, used with --algorithm dagger."""
     init_policy: str | None = None
     """Policy to initialise the actor with: a policy file, a run directory or the name of one that ships
     (default: random). A critic is always initialised at random."""
@@ -62,9 +67,10 @@ class TrainConfig:
     """Seed of networks, exploration and earthquakes."""
     total_timesteps: int | None = None
     """Control periods of all tables together (unset: 4 million for PPO, 3 million with a memory, 250
-    thousand for SAC, TD3 and TQC, 12 million for the analytic gradient; 2 to 10 minutes)."""
+    thousand for SAC, TD3 and TQC, 12 million for the analytic gradient, a million for DAgger; 2 to 10
+    minutes)."""
     discount_horizon: float | None = None
-    """Time over which the discount looks ahead [s] (unset: 0.25, for the analytic gradient 5);
+    """Time over which the discount looks ahead [s] (unset: 0.25, 5 for analytic gradient and DAgger);
     discount = exp(-control period / discount_horizon)."""
     episode_duration: float = 10.0
     """Length of a training earthquake [s]."""
@@ -103,9 +109,12 @@ class TrainConfig:
         not_positive = (
             "log_std_init", "target_entropy", "base_controller", "actor_bias", "terminal_value",
             "gru_hidden_size", "precision", "device", "top_quantiles_to_drop_per_net",
-            "checkpoint_segment_length", "critic_warmup_fraction", "paired", "direct_path",
+            "checkpoint_segment_length", "critic_warmup_fraction", "paired", "direct_path", "teacher",
+            "step_check",
         )  # fmt: skip
-        every = (self.ppo, self.sac, self.td3, self.tqc, self.recurrent_ppo, self.apg)
+        every = (
+            self.ppo, self.sac, self.td3, self.tqc, self.recurrent_ppo, self.apg, self.dagger,
+        )  # fmt: skip
         for options in every:
             require_positive(options, *(name for name in vars(options) if name not in not_positive))
         require_non_negative(self, "seed", "num_artificial_motions")
@@ -116,6 +125,7 @@ class TrainConfig:
                 f"artificial earthquakes from seed {MOST_RUNS} on are those that runs are judged by",
             )
         require_non_negative(self.apg, "gru_hidden_size", "checkpoint_segment_length")
+        require_non_negative(self.dagger, "gru_hidden_size")
         require_non_negative(self.tqc, dropped := "top_quantiles_to_drop_per_net")
         if (number := self.tqc.top_quantiles_to_drop_per_net) >= self.tqc.n_quantiles:
             raise ParameterError(dropped, number, "must leave a quantile of each critic")
@@ -143,18 +153,18 @@ class TrainConfig:
     def remembers(self) -> bool:
         """Whether the policy has a memory."""
         recurrent = self.algorithm == "recurrent-ppo"
-        return recurrent or (self.algorithm == "apg" and self.apg.gru_hidden_size > 0)
+        return recurrent or getattr(self.chosen, "gru_hidden_size", 0) > 0
 
     @property
     def steps(self) -> int:
         """Control periods to train for."""
-        usual = {"ppo": 4_000_000, "recurrent-ppo": 3_000_000, "apg": 12_288_000}
+        usual = {"ppo": 4_000_000, "recurrent-ppo": 3_000_000, "apg": 12_288_000, "dagger": 1_000_000}
         return self.total_timesteps or usual.get(self.algorithm, 250_000)
 
     @property
     def lookahead(self) -> float:
         """Horizon of the discount [s]."""
-        return self.discount_horizon or (5.0 if self.algorithm == "apg" else 0.25)
+        return self.discount_horizon or (5.0 if self.algorithm in ("apg", "dagger") else 0.25)
 
     def discount(self, control_period: float) -> float:
         """Return gamma for a control period [s]."""

@@ -12,6 +12,7 @@ from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.policies import ActorCriticPolicy
 
 from agents.learning.apg.algorithm import AnalyticPolicyGradient
+from agents.learning.distillation import Distillation
 from agents.learning.features import LinearFeatures, feature_matrix, feature_sizes
 from agents.learning.networks import (
     DirectPolicy,
@@ -21,9 +22,11 @@ from agents.learning.networks import (
     ScaleFreePolicy,
 )
 from agents.learning.paired import PairedVecEnv
+from agents.learning.vec_env import ShakeTableVecEnv
 from agents.training.algorithm_options import SACOptions, TD3Options, TQCOptions
 from agents.training.config import TrainConfig
 from agents.training.tables import TrainingTables, base_tables
+from baselines.registry import make_baseline
 from shake_env.scenario.scenario import Scenario
 
 # By whether an actor has no biases, and whether it has a direct path.
@@ -78,7 +81,7 @@ class CriticWarmupPPO(PPO):
         return [*super()._excluded_save_params(), "_moving"]
 
 
-Model = PPO | SAC | TD3 | TQC | RecurrentPPO | AnalyticPolicyGradient
+Model = PPO | SAC | TD3 | TQC | RecurrentPPO | AnalyticPolicyGradient | Distillation
 ALGORITHMS: dict[str, type[Model]] = {
     "ppo": CriticWarmupPPO,
     "sac": WarmSAC,
@@ -86,6 +89,7 @@ ALGORITHMS: dict[str, type[Model]] = {
     "tqc": WarmTQC,
     "recurrent-ppo": RecurrentPPO,
     "apg": AnalyticPolicyGradient,
+    "dagger": Distillation,
 }
 
 
@@ -160,6 +164,8 @@ def _model(config: TrainConfig, scenario: Scenario, env: TrainingTables, direct:
         return _recurrent(config, policy, env, gamma)
     if config.algorithm == "apg":
         return _analytic(config, policy, tables, gamma)
+    if config.algorithm == "dagger":
+        return _distillation(config, policy, tables)
     return _off_policy(config, policy, env, gamma)
 
 
@@ -266,7 +272,29 @@ def _analytic(
         terminal_value=analytic.terminal_value,
         plant_dtype=analytic.precision,
         checkpoint=analytic.checkpoint_segment_length,
+        step_check=analytic.step_check,
         seed=config.seed,
         policy_kwargs=policy,
         device=analytic.device,
+    )
+
+
+def _distillation(config: TrainConfig, policy: dict[str, Any], env: ShakeTableVecEnv) -> Distillation:
+    chosen = config.dagger
+    kind: type[ActorCriticPolicy] = _ACTORS[not chosen.actor_bias, True]
+    if chosen.gru_hidden_size:
+        kind, policy = GRUPolicy, {**policy, "units": chosen.gru_hidden_size}
+    policy["log_std_init"] = -3.0  # for PPO to go on from
+    return Distillation(
+        kind,
+        env,
+        make_baseline(chosen.teacher, env.scenario),
+        learning_rate=LinearDecay(chosen.learning_rate),
+        buffer_size=chosen.buffer_size,
+        batch_size=chosen.batch_size,
+        n_epochs=chosen.n_epochs,
+        sequence_length=chosen.sequence_length,
+        seed=config.seed,
+        policy_kwargs=policy,
+        device="cpu",
     )

@@ -14,6 +14,7 @@ from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from agents.learning.apg.algorithm import AnalyticPolicyGradient
+from agents.learning.distillation import Distillation
 from agents.learning.features import LinearFeatures
 from agents.learning.networks import DIRECT_GAIN, DirectActor, GRUPolicy, LSTMPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
@@ -94,7 +95,7 @@ def actor_of(model: BaseAlgorithm) -> Actor:
     """
     direct = 0
     hidden: Iterable[torch.nn.Module]
-    if isinstance(model, PPO | RecurrentPPO | AnalyticPolicyGradient):
+    if isinstance(model, PPO | RecurrentPPO | AnalyticPolicyGradient | Distillation):
         policy, output = model.policy, "clip"
         features, last = policy.pi_features_extractor, policy.action_net
         hidden = policy.mlp_extractor.policy_net
@@ -108,7 +109,7 @@ def actor_of(model: BaseAlgorithm) -> Actor:
         features, hidden = model.actor.features_extractor, layers[:-2]
         last, output = layers[-2], "tanh"  # its tanh is a module of its own, behind
     else:
-        known = "PPO, RecurrentPPO, SAC, TD3, TQC, AnalyticPolicyGradient"
+        known = "PPO, RecurrentPPO, SAC, TD3, TQC, AnalyticPolicyGradient, Distillation"
         raise PolicyFileError("algorithm", type(model).__name__, f"known: {known}")
     if not isinstance(features, LinearFeatures):
         raise PolicyFileError(

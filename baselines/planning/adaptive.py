@@ -55,12 +55,12 @@ class UncertainParameters:
         Raises
         ------
         ScenarioError
-            If nothing is drawn, or the delay alone.
+            If nothing is drawn, or the delay and factors of storeys alone.
         """
         drawn = {
             name: each
             for name, each in vars(scenario.uncertainty).items()
-            if isinstance(each, Uniform) and name != "delay"
+            if isinstance(each, Uniform) and name not in ("delay", "storey_factor")
         }
         if not drawn:
             raise ScenarioError("uncertainty", "none", "no parameter is drawn: ask for nmpc")
@@ -95,7 +95,10 @@ def _nominal_values(scenario: Scenario) -> Mapping[str, float]:
     if any(name in vars(scenario.uncertainty) for name in ("mass_ratio", "storey_frequency")):
         values |= scenario.specimen.uniform_values(scenario.actuator.table_mass)
     values |= {k: v for k, v in vars(scenario.actuator).items() if isinstance(v, int | float)}
+    valve = scenario.nonlinearity.valve
     values["coulomb_friction"] = scenario.nonlinearity.friction.coulomb
+    values["supply_pressure"] = valve.supply_pressure
+    values["valve_natural_frequency"] = valve.natural_frequency or 0.0
     return values
 
 

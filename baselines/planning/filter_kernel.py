@@ -46,7 +46,7 @@ def _signals(
     order, inputs = slope.shape[1], s[COLUMNS]
     column, g, none = np.zeros((order, 1)), np.zeros((inputs, 1)), np.zeros(1)
     gradient, wide = np.zeros((order, inputs)), np.zeros((order, inputs))
-    along, scalars, seed = np.zeros(inputs), np.zeros((4, inputs)), np.eye(inputs)
+    along, scalars, seed = np.zeros(inputs), np.zeros((5, inputs)), np.eye(inputs)
     for i in range(order):
         column[i, 0] = x[i]
     if inputs > 0:

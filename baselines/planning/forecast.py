@@ -23,6 +23,7 @@ from shake_env.model.nonlinearity import Nonlinearity, ServoValve
 from shake_env.model.parameters import FloatArray
 from shake_env.model.plant import REFERENCE_CURRENT, TABLE_DISPLACEMENT
 from shake_env.scenario.scenario import Scenario
+from shake_env.scenario.uncertainty import Uncertainty
 
 
 @dataclass(frozen=True)
@@ -96,9 +97,8 @@ def _tail(
     linear_valve = ServoValve(
         natural_frequency=valve.natural_frequency, damping_ratio=valve.damping_ratio
     )
-    linear = replace(scenario, nonlinearity=Nonlinearity(valve=linear_valve))
-    if scenario.uncertainty.coulomb_friction is not None:
-        linear = replace(linear, uncertainty=replace(linear.uncertainty, coulomb_friction=None))
+    nominal = replace(scenario, uncertainty=Uncertainty())
+    linear = replace(nominal, nonlinearity=Nonlinearity(valve=linear_valve))
     table = PlanningModel.of(linear, model_error(scenario) if model.disturbances else None)
     jacobian = compiled("ilqr_kernel").period_with_jacobian
     n = table.states

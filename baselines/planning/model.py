@@ -115,7 +115,7 @@ class PlanningModel:
             slope[:, active],
             C,
             D[:, active],
-            dynamics.spool_rate.reshape(2, 1),
+            dynamics.valve.reshape(3, 1),
             np.reshape(dynamics.coulomb, 1),
             dynamics.arrival,
         )

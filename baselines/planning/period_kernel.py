@@ -24,7 +24,7 @@ from shake_env.kernels.table_adjoint import pull
 from shake_env.model.parameters import FloatArray
 from shake_env.model.plant import SPOOL_POSITION
 
-# advance, slope, C, D, spool_rate, coulomb, arrival of one table (of N with an axis
+# advance, slope, C, D, valve, coulomb, arrival of one table (of N with an axis
 # ahead), then values and switches, common
 ModelArrays: TypeAlias = tuple[
     FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray,
@@ -143,7 +143,7 @@ def gradient_of_g(
 ) -> None:
     """Write dg/dx transposed, (order, columns), and dg/du, (columns), of one table.
 
-    `wide` (order, columns), `scalars` (4, columns) and `seed`, the unit matrix, are room: each column of
+    `wide` (order, columns), `scalars` (5, columns) and `seed`, the unit matrix, are room: each column of
     g takes the place of a table in `pull`.
     """
     coulomb, rate, v, s = model[5], model[4], model[7], model[8]
@@ -153,6 +153,7 @@ def gradient_of_g(
         scalars[1, n] = coulomb[0]
         scalars[2, n] = rate[0, 0]
         scalars[3, n] = rate[1, 0]
+        scalars[4, n] = rate[2, 0]
         along_current[n] = 0.0
     for i in range(order):
         for n in range(inputs):
@@ -217,7 +218,7 @@ def period_jacobian(
     dg, change = np.zeros((inputs, directions)), np.zeros((inputs, directions))
     dcurrent = np.zeros(directions)
     gradient, wide = np.zeros((order, inputs)), np.zeros((order, inputs))
-    along, scalars, seed = np.zeros(inputs), np.zeros((4, inputs)), np.eye(inputs)
+    along, scalars, seed = np.zeros(inputs), np.zeros((5, inputs)), np.eye(inputs)
     for i in range(order):
         dx[i, i] = scale[i]
     for j in range(substeps + 1):

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 Array = Any  # a numpy array or a torch tensor
 
 
-ARRAYS = ("advance", "slope", "C", "D", "spool_rate", "coulomb", "arrival")
+ARRAYS = ("advance", "slope", "C", "D", "valve", "coulomb", "arrival")
 FLOW, FORCE, SPOOL_RATE = range(3)  # columns of N: [m] spool, [N] on the table, [m/s] spool; then slips
 
 
@@ -128,7 +128,7 @@ def controlled_plant(
         A[..., slip] += push * released
         B[..., slip, 4:] = np.eye(n)
     if second_order:
-        omega = 2.0 * math.pi * (parts.valve.natural_frequency or 0.0)
+        omega = 2.0 * math.pi * np.asarray(parts.valve.natural_frequency)  # one, or one a plant
         A[..., SPOOL_POSITION, :], B[..., SPOOL_POSITION, 0] = 0.0, 0.0
         A[..., SPOOL_POSITION, -1] = 1.0
         A[..., -1, SPOOL_POSITION] = -(omega**2)
@@ -151,7 +151,8 @@ def controlled_scale(
     sizes = np.array([low_pass.scale for low_pass in low_passes])
     extra.append(np.broadcast_to(sizes, (*scale.shape[:-1], len(sizes))))
     if parts.valve.natural_frequency is not None:
-        extra.append(scale[..., [SPOOL_POSITION]] * 2.0 * math.pi * parts.valve.natural_frequency)
+        omega = 2.0 * math.pi * np.asarray(parts.valve.natural_frequency)[..., None]
+        extra.append(scale[..., [SPOOL_POSITION]] * omega)
     return np.concatenate([scale, *extra], axis=-1)
 
 
@@ -174,7 +175,9 @@ class NonlinearDynamics:
     slope: Array  # (..., m, inputs) what the change of g over a step adds
     C: Array  # (..., 2, m) [y_A, f_s]
     D: Array  # (..., 2, inputs)
-    spool_rate: Array  # (..., 2) linear spool rate [1/s, m/(A s)] from [x_v, u]; zeros if second order
+    # (..., 3) linear spool rate [1/s, m/(A s)] from [x_v, u], zeros if the valve is of second order, and
+    # what the supply is short of its rated pressure [Pa]
+    valve: Array
     coulomb: Array  # (...) Coulomb friction [N]
     arrival: Array  # (..., k, commands + 1) which command, oldest first, acts in each physics step
     stories: int
@@ -205,6 +208,7 @@ class NonlinearDynamics:
         first_order = parts.valve.natural_frequency is None
         at, batch = SPOOL_POSITION, continuous.A.shape[:-2]
         rate = np.stack([continuous.A[..., at, at], continuous.B[..., at, 0]], axis=-1)
+        missing = np.broadcast_to(np.asarray(parts.valve.missing)[..., None], (*batch, 1))
         picks = arrival(delay, substeps, commands_under_way(max(delay, longest_delay), substeps))
         return cls(
             parts=parts,
@@ -212,7 +216,7 @@ class NonlinearDynamics:
             slope=slope[..., 1:],
             C=continuous.C,
             D=continuous.D[..., 1:],
-            spool_rate=rate if first_order else np.zeros_like(rate),
+            valve=np.concatenate([rate if first_order else np.zeros_like(rate), missing], axis=-1),
             coulomb=np.full(batch, parts.friction.coulomb),
             arrival=np.tile(picks, (*batch, 1, 1)),
             stories=plant.specimen.stories,
@@ -245,14 +249,14 @@ class NonlinearDynamics:
         zero = xp.zeros_like(spool)
         flow = force = rate = zero
         if parts.valve.flow_active:
-            flow = parts.valve.opening(spool, state[..., LOAD_PRESSURE]) - spool
+            flow = parts.valve.opening(spool, state[..., LOAD_PRESSURE], self.valve[..., 2]) - spool
         if parts.friction.active:
             force = parts.friction.force(velocity, self.coulomb)
         if parts.stops.active:
             force = force + parts.stops.force(state[..., TABLE_DISPLACEMENT], velocity)
         if math.isfinite(parts.valve.spool_rate_limit):
             limit = parts.valve.spool_rate_limit
-            free = self.spool_rate[..., 0] * spool + self.spool_rate[..., 1] * current
+            free = self.valve[..., 0] * spool + self.valve[..., 1] * current
             if parts.valve.natural_frequency is not None:
                 free = state[..., -1]
             rate = free.clip(-limit, limit) - free

@@ -30,9 +30,9 @@ BLOCK = 64  # lanes: the rows of a block, half a kilobyte each, stay in the firs
 
 # Places in the vector of scalars; infinite is off.
 (
-    EXCESS, STRIBECK_VELOCITY, SMOOTHING_VELOCITY, VISCOUS, SUPPLY_PRESSURE, SPOOL_LIMIT, DEAD_BAND,
-    RATE_LIMIT, GAP, STIFFNESS, DAMPING, YIELD_DRIFT, EXPONENT,
-) = range(13)  # fmt: skip
+    EXCESS, STRIBECK_VELOCITY, SMOOTHING_VELOCITY, VISCOUS, RATED_PRESSURE, SUPPLY_SAG, SPOOL_LIMIT,
+    DEAD_BAND, RATE_LIMIT, GAP, STIFFNESS, DAMPING, YIELD_DRIFT, EXPONENT,
+) = range(14)  # fmt: skip
 # Places in the vector of switches: where each part's first column of g lies, -1 if the part is off and
 # its columns left out of every product; then what else shapes the loops.
 FLOW, FORCE, RATE, SLIPS, COLUMNS, FRICTION, STATIC, SPOOL_VELOCITY, STORIES = range(9)
@@ -65,7 +65,7 @@ def scalars(parts: Nonlinearity) -> FloatArray:
     return np.array(
         [
             excess, friction.stribeck_velocity, friction.smoothing_velocity, friction.viscous,
-            valve.supply_pressure, valve.spool_limit, valve.dead_band, valve.spool_rate_limit,
+            valve.rated, valve.supply_sag, valve.spool_limit, valve.dead_band, valve.spool_rate_limit,
             stops.gap, stops.stiffness, stops.damping, yielding.yield_drift, yielding.exponent,
         ]
     )  # fmt: skip
@@ -146,13 +146,16 @@ def within(x: float, limit: float) -> float:
 
 
 @jit
-def _flow(spool: FloatArray, pressure: FloatArray, v: FloatArray, out: FloatArray, w: int) -> None:
-    limit, dead, supply = v[SPOOL_LIMIT], v[DEAD_BAND], v[SUPPLY_PRESSURE]
+def _flow(
+    spool: FloatArray, pressure: FloatArray, v: FloatArray, missing: FloatArray, out: FloatArray, w: int
+) -> None:
+    limit, dead, rated, sag = v[SPOOL_LIMIT], v[DEAD_BAND], v[RATED_PRESSURE], v[SUPPLY_SAG]
     for n in range(w):
         limited = within(spool[n], limit)
         past = abs(limited) - dead
         opening = math.copysign(0.0 if past < 0.0 else past, limited)
-        available = 1.0 - (pressure[n] if opening > 0.0 else -pressure[n]) / supply
+        short = missing[n] + abs(opening) * sag
+        available = 1.0 - ((pressure[n] if opening > 0.0 else -pressure[n]) + short) / rated
         out[n] = opening * math.sqrt(1e-6 if available < 1e-6 else available) - spool[n]
 
 
@@ -225,13 +228,13 @@ def nonlinear(
     v: FloatArray,
     s: IntArray,
     coulomb: FloatArray,
-    spool_rate: FloatArray,
+    valve: FloatArray,
     g: FloatArray,
     w: int,
 ) -> None:
     """Write g, (columns, w), for states x, (order, w); see `NonlinearDynamics.nonlinear`."""
     if s[FLOW] >= 0:
-        _flow(x[SPOOL_POSITION], x[LOAD_PRESSURE], v, g[s[FLOW]], w)
+        _flow(x[SPOOL_POSITION], x[LOAD_PRESSURE], v, valve[2], g[s[FLOW]], w)
     if s[FORCE] >= 0:
         fill(g[s[FORCE] : s[FORCE] + 1], 0.0, w)
         if s[FRICTION]:
@@ -245,7 +248,7 @@ def nonlinear(
                 rate[n] = x[s[SPOOL_VELOCITY], n]
         else:
             for n in range(w):
-                rate[n] = spool_rate[0, n] * x[SPOOL_POSITION, n] + spool_rate[1, n] * current[n]
+                rate[n] = valve[0, n] * x[SPOOL_POSITION, n] + valve[1, n] * current[n]
         for n in range(w):
             rate[n] = within(rate[n], limit) - rate[n]
     if s[SLIPS] >= 0:

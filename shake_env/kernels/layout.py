@@ -33,12 +33,13 @@ FIELDS = (
     "severity",  # motionless cost of the motion over the unit target's
     "weights",  # (3) of the stage cost
     "coulomb",  # [N]
-    "spool_rate",  # (2) see NonlinearDynamics
+    "valve",  # (3) see NonlinearDynamics
     "state",  # of the plant, the sensors' low-passes in it, then commands under way
     "current",  # [A] of this period; behind the state, as products take both
     "response",  # (2 k) accelerations of the table, then base shears
     "floors",  # accelerations [m/s^2]
     "bias",  # offsets of this episode
+    "gain",  # gain errors of this episode [-]
     "noise",  # standard normal numbers of the readings
     "reading",  # over its scale
     "action",
@@ -54,13 +55,14 @@ MATRICES = (
 )  # fmt: skip
 # Vectors of numbers: scalars of the nonlinear parts and of the step, then what each reading or row has.
 SCALARS = (
-    "excess", "stribeck_velocity", "smoothing_velocity", "viscous", "supply_pressure", "spool_limit",
-    "dead_band", "rate_limit", "gap", "stiffness", "damping", "yield_drift", "exponent", "current_limit",
-    "limit_rate", "limit_steps", "soft_share", "soft_weight", "displacement_limit", "velocity_limit",
-    "pressure_limit", "acceleration_limit", "command_limit", "floor_limit", "observation_bound",
+    "excess", "stribeck_velocity", "smoothing_velocity", "viscous", "rated_pressure", "supply_sag",
+    "spool_limit", "dead_band", "rate_limit", "gap", "stiffness", "damping", "yield_drift", "exponent",
+    "current_limit", "limit_rate", "limit_steps", "soft_share", "soft_weight", "displacement_limit",
+    "velocity_limit", "pressure_limit", "acceleration_limit", "command_limit", "floor_limit",
+    "observation_bound",
 )  # fmt: skip
 VECTORS = (
-    "bounds", "inverse_scales", "resolution", "rounded", "reading_scale", "rms", "offset",
+    "bounds", "inverse_scales", "resolution", "rounded", "reading_scale", "rms", "offset", "gain_error",
 )  # fmt: skip
 # Room to work in, rows of a block each.
 ROOM = ("x", "y", "later", "outputs", "arriving", "samples", "look")

@@ -43,7 +43,9 @@ def _read(code: Code, record: Any, matrices: Any, room: Any) -> None:
         resolution, rounded, scale, rms = (code.entry(name, i) for name in names)
         with code.lanes() as lane:
             noise = block.rows("noise").get(i, lane)
-            reading = block.record.get(row, lane) + block.rows("bias").get(i, lane) + noise * rms
+            signal = block.record.get(row, lane)
+            reading = signal + block.rows("gain").get(i, lane) * signal
+            reading = reading + block.rows("bias").get(i, lane) + noise * rms
             steps = reading / resolution
             nearest = (steps.absolute() < WHOLE / 3.0).choose((steps + WHOLE) - WHOLE, steps)
             error = (nearest * resolution - reading) * rounded

@@ -56,7 +56,7 @@ def _nonlinear(code: Code, record_at: Any, x_at: Any, current_at: Any, g_at: Any
     }
     with code.lanes() as lane:
         with b.if_then(on["flow"]):
-            g.put(code.whole("flow"), lane, _flow(code, x, lane))
+            g.put(code.whole("flow"), lane, _flow(code, record, x, lane))
         with b.if_then(on["force"]):
             force = code.variable(code.zero())
             with b.if_then(code.positive(code.whole("friction"))):
@@ -65,7 +65,7 @@ def _nonlinear(code: Code, record_at: Any, x_at: Any, current_at: Any, g_at: Any
                 force.set(force.get() - _stops(code, x, lane))
             g.put(code.whole("force"), lane, force.get())
         with b.if_then(on["rate"]):
-            rates = code.whole("row_spool_rate")
+            rates = code.whole("row_valve")
             free = code.variable(record.get(rates, lane) * x.get(SPOOL_POSITION, lane))
             pushed = record.get(b.add(rates, whole(1)), lane) * current.get(0, lane)
             free.set(free.get() + pushed)
@@ -78,12 +78,15 @@ def _nonlinear(code: Code, record_at: Any, x_at: Any, current_at: Any, g_at: Any
         slip_rates(code, x.at(4), g.at(code.whole("slips")))
 
 
-def _flow(code: Code, x: Rows, lane: Any) -> Value:
+def _flow(code: Code, record: Rows, x: Rows, lane: Any) -> Value:
     spool, pressure = x.get(SPOOL_POSITION, lane), x.get(LOAD_PRESSURE, lane)
     limited = spool.within(code.scalar("spool_limit"))
     past = limited.absolute() - code.scalar("dead_band")
     opening = (past < 0.0).choose(0.0, past).signed_as(limited)
-    available = 1.0 - (opening > 0.0).choose(pressure, pressure * -1.0) / code.scalar("supply_pressure")
+    short = record.get(code.b.add(code.whole("row_valve"), whole(2)), lane)
+    short = short + opening.absolute() * code.scalar("supply_sag")
+    load = (opening > 0.0).choose(pressure, pressure * -1.0) + short
+    available = 1.0 - load / code.scalar("rated_pressure")
     return opening * (available < 1e-6).choose(1e-6, available).root() - spool
 
 

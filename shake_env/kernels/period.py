@@ -22,7 +22,7 @@ from shake_env.kernels.layout import GROUND, START, STEP
 from shake_env.kernels.motion import move
 from shake_env.kernels.observing import draw_readings, read, remember, show
 from shake_env.kernels.vectors import BLOCK, I64, TABLE, Code, whole
-from shake_env.model.random_numbers import OFFSETS, SENSORS
+from shake_env.model.random_numbers import GAINS, OFFSETS, SENSORS
 
 
 def _emit(code: Code) -> Any:
@@ -107,10 +107,11 @@ def _start(code: Code, record: Any, matrices: Any, room: Any, index: Any, happen
         before = _slot(block, cursor, i)
         advance_ground(block, before, _slot(block, before, whole(1)))
     with code.b.if_then(code.positive(code.whole("readings"))):
-        draw_readings(block, OFFSETS)
-        with code.loop(code.whole("readings")) as i, code.lanes() as lane:
-            offset = block.rows("noise").get(i, lane) * code.entry("offset", i)
-            block.rows("bias").put(i, lane, offset)
+        for first, field, size in ((OFFSETS, "bias", "offset"), (GAINS, "gain", "gain_error")):
+            draw_readings(block, first)
+            with code.loop(code.whole("readings")) as i, code.lanes() as lane:
+                drawn = block.rows("noise").get(i, lane) * code.entry(size, i)
+                block.rows(field).put(i, lane, drawn)
     read(block)
     show(block, index, cursor)
     remember(block)

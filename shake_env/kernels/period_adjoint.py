@@ -190,7 +190,7 @@ def _kept(number: int) -> Any:
         slope: FloatArray,
         C: FloatArray,
         D: FloatArray,
-        spool_rate: FloatArray,
+        valve: FloatArray,
         coulomb: FloatArray,
         arrival: FloatArray,
         v: FloatArray,
@@ -211,7 +211,7 @@ def _kept(number: int) -> Any:
         outputs, unseen = np.zeros((tall, 2, depth)), np.empty((2, tall, depth))
         taped, predicted = np.empty((substeps + 1, tall, width)), np.empty((substeps, order, width))
         spool, later = np.empty((substeps, width)), np.empty((inputs, width))
-        arriving, friction, rate = np.empty((substeps, width)), np.empty(width), np.empty((2, width))
+        arriving, friction, rate = np.empty((substeps, width)), np.empty(width), np.empty((3, width))
         xbar, gbar, cbar = (
             np.empty((tall, width)),
             np.empty((inputs, width)),
@@ -235,8 +235,8 @@ def _kept(number: int) -> Any:
                 for i in range(order):
                     taped[0, i, n], xbar[i, n] = state[lane, i], state_slope[lane, i]
                 friction[n] = coulomb[lane if len(coulomb) > 1 else 0]
-                for i in range(2):
-                    rate[i, n] = spool_rate[lane if len(spool_rate) > 1 else 0, i]
+                for i in range(3):
+                    rate[i, n] = valve[lane if len(valve) > 1 else 0, i]
                 picks = arrival[lane if len(arrival) > 1 else 0]
                 for j in range(substeps):
                     slopes[j, n] = acceleration_slope[lane, j]
@@ -303,7 +303,7 @@ class PeriodAdjoint:
         step = self.step
         start, command = np.empty(state.shape), np.empty(len(state))
         _back(
-            state, current, step.advance, step.slope, step.C, step.D, step.spool_rate, step.coulomb,
+            state, current, step.advance, step.slope, step.C, step.D, step.valve, step.coulomb,
             step.arrival, step.values, step.on, state_slope, acceleration_slope, shear_slope, start,
             command,
         )  # fmt: skip

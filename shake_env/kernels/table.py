@@ -63,7 +63,7 @@ def _period(
     slope: FloatArray,
     C: FloatArray,
     D: FloatArray,
-    spool_rate: FloatArray,
+    valve: FloatArray,
     coulomb: FloatArray,
     arrival: FloatArray,
     v: FloatArray,
@@ -83,7 +83,7 @@ def _period(
     x = np.empty((order + 1 + inputs, width))  # state, current, g
     y, later, sampled = np.empty((order, width)), np.empty((inputs, width)), np.empty((2, width))
     response = np.empty((2 * substeps, width))
-    arriving, friction, rate = np.empty((substeps, width)), np.empty(width), np.empty((2, width))
+    arriving, friction, rate = np.empty((substeps, width)), np.empty(width), np.empty((3, width))
     none = lanes - lanes  # a zero that is no literal: for one the helpers would be compiled again
     for first in range(0, lanes, width):
         w = min(width, lanes - first)
@@ -98,8 +98,8 @@ def _period(
             for i in range(order):
                 x[i, n] = state[lane, i]
             friction[n] = coulomb[lane if len(coulomb) > 1 else 0]
-            for i in range(2):
-                rate[i, n] = spool_rate[lane if len(spool_rate) > 1 else 0, i]
+            for i in range(3):
+                rate[i, n] = valve[lane if len(valve) > 1 else 0, i]
             picks = arrival[lane if len(arrival) > 1 else 0]
             for j in range(substeps):
                 arriving[j, n] = picks[j, commands] * command[lane]
@@ -151,7 +151,7 @@ def _kept(number: int) -> Any:
         slope: FloatArray,
         C: FloatArray,
         D: FloatArray,
-        spool_rate: FloatArray,
+        valve: FloatArray,
         coulomb: FloatArray,
         arrival: FloatArray,
         v: FloatArray,
@@ -161,7 +161,7 @@ def _kept(number: int) -> Any:
         shear: FloatArray,
     ) -> int:
         _period(
-            state, command, advance, slope, C, D, spool_rate, coulomb, arrival, v, s, moved,
+            state, command, advance, slope, C, D, valve, coulomb, arrival, v, s, moved,
             acceleration, shear,
         )  # fmt: skip
         return number
@@ -183,7 +183,7 @@ class CompiledStep:
     slope: FloatArray
     C: FloatArray
     D: FloatArray
-    spool_rate: FloatArray  # (1 or N, 2)
+    valve: FloatArray  # (1 or N, 3)
     coulomb: FloatArray  # (1 or N)
     arrival: FloatArray  # (1 or N, k, commands + 1)
     values: FloatArray  # see scalars
@@ -195,7 +195,7 @@ class CompiledStep:
         cls, parts: Nonlinearity, stories: int, matrices: dict[str, FloatArray]
     ) -> CompiledStep | None:
         """Return the step of these matrices, or None where they are not laid out for it."""
-        ranks = {"advance": 2, "slope": 2, "C": 2, "D": 2, "spool_rate": 1, "coulomb": 0, "arrival": 2}
+        ranks = {"advance": 2, "slope": 2, "C": 2, "D": 2, "valve": 1, "coulomb": 0, "arrival": 2}
         extra = {array.ndim - ranks[name] for name, array in matrices.items()}
         double = all(type(a) is np.ndarray and a.dtype == np.float64 for a in matrices.values())
         if not double or extra not in ({0}, {1}):
@@ -230,7 +230,7 @@ class CompiledStep:
         moved = np.empty(rows.shape)
         acceleration, shear = np.empty((lanes, substeps)), np.empty((lanes, substeps))
         _step(
-            rows, current.reshape(-1), self.advance, self.slope, self.C, self.D, self.spool_rate,
+            rows, current.reshape(-1), self.advance, self.slope, self.C, self.D, self.valve,
             self.coulomb, self.arrival, self.values, self.on, moved, acceleration, shear,
         )  # fmt: skip
         if state.ndim == 2:

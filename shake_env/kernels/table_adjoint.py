@@ -20,6 +20,7 @@ from shake_env.kernels.lanes import (
     GAP,
     RATE,
     RATE_LIMIT,
+    RATED_PRESSURE,
     SLIPS,
     SMOOTHING_VELOCITY,
     SPOOL_LIMIT,
@@ -28,7 +29,7 @@ from shake_env.kernels.lanes import (
     STIFFNESS,
     STORIES,
     STRIBECK_VELOCITY,
-    SUPPLY_PRESSURE,
+    SUPPLY_SAG,
     VISCOUS,
     YIELD_DRIFT,
     IntArray,
@@ -46,12 +47,13 @@ def _pull_flow(
     spool: FloatArray,
     pressure: FloatArray,
     v: FloatArray,
+    missing: FloatArray,
     seed: FloatArray,
     to_spool: FloatArray,
     to_pressure: FloatArray,
     w: int,
 ) -> None:
-    limit, dead, supply = v[SPOOL_LIMIT], v[DEAD_BAND], v[SUPPLY_PRESSURE]
+    limit, dead, rated, sag = v[SPOOL_LIMIT], v[DEAD_BAND], v[RATED_PRESSURE], v[SUPPLY_SAG]
     for n in range(w):
         limited = within(spool[n], limit)
         slope = 1.0 if abs(spool[n]) <= limit else 0.0
@@ -59,11 +61,11 @@ def _pull_flow(
         opening = math.copysign(0.0 if past < 0.0 else past, limited)
         slope = 0.0 if past < 0.0 else slope
         sign = 1.0 if opening > 0.0 else (-1.0 if opening < 0.0 else 0.0)
-        available = 1.0 - sign * pressure[n] / supply
+        available = 1.0 - (sign * pressure[n] + (missing[n] + abs(opening) * sag)) / rated
         floored = available < 1e-6
         root = math.sqrt(1e-6 if floored else available)
-        steepness = 0.0 if floored else -0.5 * opening * sign / (root * supply)
-        to_spool[n] += seed[n] * (slope * root - 1.0)
+        steepness = 0.0 if floored else -0.5 * opening * sign / (root * rated)
+        to_spool[n] += seed[n] * (slope * (root + steepness * sag) - 1.0)
         to_pressure[n] += seed[n] * steepness
 
 
@@ -155,7 +157,7 @@ def pull(
     v: FloatArray,
     s: IntArray,
     coulomb: FloatArray,
-    spool_rate: FloatArray,
+    valve: FloatArray,
     seed: FloatArray,
     xbar: FloatArray,
     cbar: FloatArray,
@@ -165,7 +167,7 @@ def pull(
 
     Parameters
     ----------
-    x, current, v, s, coulomb, spool_rate
+    x, current, v, s, coulomb, valve
         As for :func:`shake_env.kernels.lanes.nonlinear`.
     seed
         (columns, w) slope of the cost along each of g.
@@ -174,7 +176,7 @@ def pull(
     """
     if s[FLOW] >= 0:
         _pull_flow(
-            x[SPOOL_POSITION], x[LOAD_PRESSURE], v, seed[s[FLOW]], xbar[SPOOL_POSITION],
+            x[SPOOL_POSITION], x[LOAD_PRESSURE], v, valve[2], seed[s[FLOW]], xbar[SPOOL_POSITION],
             xbar[LOAD_PRESSURE], w,
         )  # fmt: skip
     if s[FORCE] >= 0:
@@ -195,9 +197,9 @@ def pull(
                 xbar[own, n] -= 0.0 if abs(x[own, n]) <= limit else given[n]
         else:
             for n in range(w):
-                free = spool_rate[0, n] * x[SPOOL_POSITION, n] + spool_rate[1, n] * current[n]
+                free = valve[0, n] * x[SPOOL_POSITION, n] + valve[1, n] * current[n]
                 over = 0.0 if abs(free) <= limit else given[n]
-                xbar[SPOOL_POSITION, n] -= spool_rate[0, n] * over
-                cbar[n] -= spool_rate[1, n] * over
+                xbar[SPOOL_POSITION, n] -= valve[0, n] * over
+                cbar[n] -= valve[1, n] * over
     if s[SLIPS] >= 0:
         _pull_slips(x, v, s[STORIES], seed[s[SLIPS] :], xbar, w)

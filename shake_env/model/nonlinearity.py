@@ -79,9 +79,10 @@ class Friction:
 class ServoValve:
     """Orifice flow, saturation, rate limit, dead band and second-order dynamics of the servovalve.
 
-    ``Q = K_q x_e sqrt(max(0, 1 - sgn(x_v) p_l / P_s))``, x_e the spool position outside the dead band
-    (Merritt, Hydraulic Control Systems, 1967, ch. 5); at p_l = 0 without a dead band it is the linear
-    valve's K_q x_v.
+    ``Q = K_q x_e sqrt(max(1e-6, (P_s - sag |x_e| - sgn(x_e) p_l) / P_r))``, x_e the spool position
+    outside the dead band and P_r the supply pressure that the flow gain K_q is rated at (Merritt,
+    Hydraulic Control Systems, 1967, ch. 5); at p_l = 0 and P_s = P_r, without sag and dead band, it is
+    the linear valve's K_q x_v.
 
     Raises
     ------
@@ -90,6 +91,8 @@ class ServoValve:
     """
 
     supply_pressure: float = math.inf  # P_s [Pa]; infinite: the linear flow
+    rated_pressure: float | None = None  # P_r [Pa] that the flow gain belongs to; None: the supply's
+    supply_sag: float = 0.0  # [Pa/m] by which the supply falls for each metre of opening
     spool_limit: float = math.inf  # [m]
     spool_rate_limit: float = math.inf  # [m/s]
     dead_band: float = 0.0  # half width [m]
@@ -98,6 +101,16 @@ class ServoValve:
 
     def __post_init__(self) -> None:
         check_ranges(self)
+
+    @property
+    def rated(self) -> float:
+        """Supply pressure [Pa] that the flow gain belongs to."""
+        return self.supply_pressure if self.rated_pressure is None else self.rated_pressure
+
+    @property
+    def missing(self) -> float:
+        """What the supply is short of its rated pressure [Pa]."""
+        return 0.0 if self.rated_pressure is None else self.rated_pressure - self.supply_pressure
 
     @property
     def flow_active(self) -> bool:
@@ -114,7 +127,7 @@ class ServoValve:
         rate = math.isfinite(self.spool_rate_limit)
         return self.flow_active or rate or self.natural_frequency is not None
 
-    def opening(self, spool: Array, pressure: Array) -> Array:
+    def opening(self, spool: Array, pressure: Array, missing: Array | None = None) -> Array:
         """Return the spool position (...) [m] that would let the same flow through a linear valve.
 
         Parameters
@@ -123,6 +136,8 @@ class ServoValve:
             (...) [m].
         pressure
             (...) load pressure [Pa].
+        missing
+            (...) [Pa] in place of `missing`, where it differs from table to table.
         """
         xp = array_api_compat.array_namespace(spool)
         opening = self.limited(spool)
@@ -130,7 +145,9 @@ class ServoValve:
             past = (xp.abs(opening) - self.dead_band).clip(0.0, None)
             opening = xp.sign(opening) * past
         if math.isfinite(self.supply_pressure):
-            available = 1.0 - xp.sign(opening) * pressure / self.supply_pressure
+            short = self.missing if missing is None else missing
+            short = short + self.supply_sag * xp.abs(opening)
+            available = 1.0 - (xp.sign(opening) * pressure + short) / self.rated
             # The root's slope is infinite where the flow stops; the floor bounds it (and its gradient)
             # at a flow of a thousandth of the valve's.
             opening = opening * xp.sqrt(available.clip(1e-6, None))

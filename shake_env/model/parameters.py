@@ -20,6 +20,7 @@ from shake_env.errors import ParameterError
 from shake_env.model.matrices import FloatArray as FloatArray
 from shake_env.model.matrices import chain, symmetric_rows
 from shake_env.model.matrices import diagonal as diagonal
+from shake_env.model.nonlinearity import Nonlinearity, ServoValve
 from shake_env.model.ranges import RANGES, check, check_ranges
 from shake_env.model.ranges import is_number as is_number
 
@@ -27,7 +28,7 @@ TABLE_MASS = 180.0  # m_a [kg] of Table I; a specimen's mass ratio refers to it 
 GRAVITY = 9.80665  # [m/s^2] standard gravity, used only where a record comes in units of g
 
 
-Part = TypeVar("Part", "Actuator", "Specimen")
+Part = TypeVar("Part", "Actuator", "Specimen", ServoValve, Nonlinearity)
 
 
 def unchecked(part: Part, **changes: Any) -> Part:

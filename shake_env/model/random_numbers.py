@@ -24,7 +24,8 @@ ROTATIONS = (16, 42, 12, 31, 16, 32, 24, 21)
 ROUNDS = 13
 PARITY = 0x1BD11BDAA9FC1A22
 A_BLOCK = 4  # normal numbers of a block
-GROUND, SENSORS, OFFSETS = 0, 1 << 32, 1 << 33  # first blocks: of the ground's noise, of the sensors'
+# First blocks: of the ground's noise, of the sensors', of their offsets and gains.
+GROUND, SENSORS, OFFSETS, GAINS = 0, 1 << 32, 1 << 33, 1 << 34
 
 # log(1 + f), sin(t) and cos(t), highest power first (Cephes, S. Moshier: logf, sinf, cosf).
 LOGARITHM = (
@@ -78,7 +79,7 @@ def normals(key: Array, period: Array, first_block: int, count: int) -> Array:
     period
         (...) control periods since the start of each, broadcast against the keys; 64-bit integers.
     first_block
-        What the numbers are for: GROUND, SENSORS or OFFSETS.
+        What the numbers are for: GROUND, SENSORS, OFFSETS or GAINS.
     count
         How many of each.
 

@@ -146,6 +146,8 @@ RANGES: dict[str, dict[str, Range]] = {
     },
     "ServoValve": {
         "supply_pressure": Range(1e-3, math.inf, "Pa"),
+        "rated_pressure": Range(1e-3, 1e12, "Pa", optional=True),
+        "supply_sag": Range(1e-3, 1e15, "Pa/m", zero=True),
         "spool_limit": Range(1e-12, math.inf, "m"),
         "spool_rate_limit": Range(1e-12, math.inf, "m/s"),
         "dead_band": Range(1e-15, 1e1, "m", zero=True),
@@ -173,6 +175,7 @@ RANGES: dict[str, dict[str, Range]] = {
         "bias": Range(1e-15, 1e12, "of the signal", zero=True),
         "resolution": Range(1e-15, 1e12, "of the signal", zero=True),
         "lowpass_frequency": Range(1e-3, 1e6, "Hz", optional=True),
+        "gain_error": Range(1e-9, 1.0, zero=True),
     },
     "Sensing": {
         "preview": Range(1e-6, 1e2, "s", zero=True),
@@ -200,6 +203,10 @@ UNCERTAIN = {
     "valve_gain": RANGES["Actuator"]["valve_gain"],
     "coulomb_friction": RANGES["Friction"]["coulomb"],
     "delay": RANGES["Scenario"]["delay"],
+    "table_mass": RANGES["Actuator"]["table_mass"],
+    "supply_pressure": Range(1e-3, 1e12, "Pa"),
+    "valve_natural_frequency": Range(1e-2, 1e5, "Hz"),
+    "storey_factor": Range(1e-3, 1e3),
 }  # of what an `Uncertainty` draws
 
 

@@ -21,7 +21,10 @@ LEFT_OUT = ("name", "train_on", "table")  # fields of a scenario that do not cha
 VERSION = 1  # of the canonical form
 # Fields that joined a part of a scenario after version 1: their path from the scenario, and the value at
 # which nothing is other than it was before. At that value they are left out of the canonical form.
-ADDED_FIELDS: Mapping[str, Any] = {}
+ADDED_FIELDS: Mapping[str, Any] = {
+    "nonlinearity.valve.supply_sag": 0.0,
+    "sensing.sensors.gain_error": 0.0,
+}
 # What distinguishes motions in the canonical form, whatever their classes are called.
 _MOTION_KINDS = ((FilteredNoise, "filtered noise"), (RecordedMotion, "record"), (MotionSet, "set"))
 

@@ -35,10 +35,11 @@ UNITS = {
 class Sensor:
     """One measured signal, sampled at the end of each control period.
 
-    The reading is the signal through an analogue first-order low-pass, sampled, plus a bias that is
-    constant over an episode, plus white noise, rounded to the resolution. The low-pass is stepped with
-    the table: it feels the signal between the samples. Noise, bias and resolution are in the signal's
-    unit. ``floor_accelerations`` are the absolute accelerations of all floors, one reading each.
+    The reading is the signal through an analogue first-order low-pass, sampled, times 1 plus a gain
+    error, plus a bias, both constant over an episode, plus white noise, rounded to the resolution. The
+    low-pass is stepped with the table: it feels the signal between the samples. Noise, bias and
+    resolution are in the signal's unit. ``floor_accelerations`` are the absolute accelerations of all
+    floors, one reading each.
 
     Raises
     ------
@@ -51,6 +52,7 @@ class Sensor:
     bias: float = 0.0  # standard deviation of the constant offset that an episode draws
     resolution: float = 0.0  # quantisation step; 0: none
     lowpass_frequency: float | None = None  # [Hz]; None: none
+    gain_error: float = 0.0  # [-] standard deviation of the relative gain error that an episode draws
 
     def __post_init__(self) -> None:
         if self.signal not in UNITS:

@@ -53,7 +53,7 @@ class PlantSamples(Uncertainty):
         """Whether anything is drawn."""
         return True
 
-    def sample(self, stream: np.random.Generator) -> dict[str, float]:
+    def sample(self, stream: np.random.Generator, stories: int) -> dict[str, float]:
         """Return the values of one sample, by name."""
         return self.at(int(stream.integers(len(self.rows))))
 

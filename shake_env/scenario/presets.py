@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 
 from shake_env.model.nonlinearity import Friction, Nonlinearity, ServoValve, StrokeStops, Yielding
 from shake_env.model.parameters import GroundFilter, ModelEquations, Specimen
@@ -10,7 +12,7 @@ from shake_env.motion.processing import RATED_VELOCITY, SUPPLY_PRESSURE, TableCa
 from shake_env.motion.targets import Envelope, FilteredNoise, MotionSet, RecordedMotion
 from shake_env.records import RECORD_NAMES
 from shake_env.scenario.limits import Limits
-from shake_env.scenario.observation import Sensing
+from shake_env.scenario.observation import Sensing, Sensor
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty, Uniform
 
@@ -21,6 +23,8 @@ LABORATORY_AMPLITUDE = 0.22
 # A third of the 4.3 mm that the elastic specimen's first storey reaches under these motions (median).
 YIELD_DRIFT = 0.0015  # [m]
 DELAY = 2.5  # [physics steps of 1 ms], half a control period
+FIELD_LEAKAGE = 1e-12  # [m^3/(Pa s)] of worn seals and valve lands
+FIELD_SAG = 5e10  # [Pa/m] 1 MPa at 20 um of spool, full flow
 
 
 def _ground() -> GroundFilter:
@@ -92,6 +96,54 @@ def yielding() -> Scenario:
     )
 
 
+def field() -> Scenario:
+    """Return the laboratory's table as it is found: parameters drawn around those it is taken to have.
+
+    The nominal table is `laboratory` with a valve of second order, Stribeck friction and a supply that
+    sags; it is what controllers are designed on. Each spread has its reason on the scenario's page.
+    """
+    table = laboratory()
+    nominal, parts = table.actuator, table.nonlinearity
+    # Poles at 1 / T_v, the first-order valve's, and at ten times that, its pilot stage's.
+    frequency = math.sqrt(10.0) / (2.0 * math.pi * nominal.valve_time_constant)
+    damping = 11.0 / (2.0 * math.sqrt(10.0))
+    friction = replace(parts.friction, static=1.4 * parts.friction.coulomb)
+    valve = replace(
+        parts.valve, natural_frequency=frequency, damping_ratio=damping, supply_sag=FIELD_SAG
+    )
+    sensors = tuple(_in_the_field(sensor) for sensor in table.sensing.sensors or ())
+    specimen = table.specimen.uniform_values(nominal.table_mass)
+
+    def around(value: float, share: float) -> Uniform:
+        return Uniform((1.0 - share) * value, (1.0 + share) * value)
+
+    return replace(
+        table,
+        name="field",
+        nonlinearity=replace(parts, friction=friction, valve=valve),
+        sensing=replace(table.sensing, sensors=sensors),
+        uncertainty=Uncertainty(
+            mass_ratio=around(specimen["mass_ratio"], 0.30),
+            storey_frequency=around(specimen["storey_frequency"], 0.15),
+            bulk_modulus=around(nominal.bulk_modulus, 0.20),
+            leakage=Uniform(nominal.leakage, FIELD_LEAKAGE),
+            valve_gain=around(nominal.valve_gain, 0.10),
+            coulomb_friction=Uniform(50.0, 400.0),
+            delay=Uniform(DELAY - 1.0, DELAY + 1.0),
+            table_mass=around(nominal.table_mass, 0.02),
+            supply_pressure=Uniform(17e6, 21e6),
+            valve_natural_frequency=around(frequency, 0.10),
+            storey_factor=Uniform(0.9, 1.1),
+        ),
+    )
+
+
+def _in_the_field(sensor: Sensor) -> Sensor:
+    """Return a sensor with the gain error and offset of one that is not calibrated for each test."""
+    full_scale = sensor.noise / 1e-3  # see `Sensing.laboratory`
+    return replace(sensor, gain_error=0.01, bias=max(sensor.bias, 5e-4 * full_scale))
+
+
 def records() -> Scenario:
     """Return the laboratory's table under the embedded records, each scaled until it can be repeated."""
     table = laboratory()
@@ -119,5 +171,6 @@ NAMED: dict[str, Callable[[], Scenario]] = {
     "laboratory": laboratory,
     "unknown-specimen": unknown_specimen,
     "yielding": yielding,
+    "field": field,
     "records": records,
 }

@@ -24,7 +24,7 @@ from shake_env.scenario.observation import ObservationLayout, Sensing
 from shake_env.scenario.plant_samples import PlantSamples
 from shake_env.scenario.plant_values import with_specimen_values
 from shake_env.scenario.tables.table import DEFAULT_TABLE, TABLE_NAMES, named_table
-from shake_env.scenario.uncertainty import Uncertainty
+from shake_env.scenario.uncertainty import MASS_FACTOR, STIFFNESS_FACTOR, Uncertainty
 
 _KINDS: tuple[tuple[str, type | tuple[type, ...]], ...] = (
     ("actuator", Actuator),
@@ -139,10 +139,26 @@ class Scenario:
                 self.uncertainty.valve_time_constant,
                 "a valve with a natural frequency has no time constant: leave one of them out",
             )
+        if self.uncertainty.valve_natural_frequency and valve.natural_frequency is None:
+            raise ScenarioError(
+                "uncertainty.valve_natural_frequency",
+                self.uncertainty.valve_natural_frequency,
+                "the valve is of first order: set nonlinearity.valve.natural_frequency",
+            )
+        if self.uncertainty.supply_pressure and not math.isfinite(valve.supply_pressure):
+            raise ScenarioError(
+                "uncertainty.supply_pressure",
+                self.uncertainty.supply_pressure,
+                "the supply is infinite: set nonlinearity.valve.supply_pressure",
+            )
+        if self.uncertainty.storey_factor and self.specimen.coupled:
+            raise ScenarioError(
+                "uncertainty.storey_factor", self.uncertainty.storey_factor, "needs storeys"
+            )
 
     def drawn(self, stream: np.random.Generator) -> Scenario:
         """Return this scenario with a true plant drawn from its uncertainty."""
-        return self.with_plant(self.uncertainty.sample(stream))
+        return self.with_plant(self.uncertainty.sample(stream, self.specimen.stories))
 
     def with_plant(self, values: Mapping[str, float]) -> Scenario:
         """Return this scenario with these values of its uncertain parameters, by their names.
@@ -168,13 +184,29 @@ class Scenario:
         if "yield_drift" in values:
             yielding = replace(parts.yielding, yield_drift=values["yield_drift"])
             parts = replace(parts, yielding=yielding)
+        valve: dict[str, Any] = {}
         if "supply_pressure" in values:
-            valve = replace(parts.valve, supply_pressure=values["supply_pressure"])
-            parts = replace(parts, valve=valve)
+            rated = parts.valve.rated
+            valve |= {"supply_pressure": values["supply_pressure"], "rated_pressure": rated}
+        if "valve_natural_frequency" in values:
+            valve["natural_frequency"] = values["valve_natural_frequency"]
+        if valve:
+            parts = replace(parts, valve=replace(parts.valve, **valve))
         if parts is not self.nonlinearity:
             changes["nonlinearity"] = parts
         if "delay" in values:
             changes["delay"] = values["delay"]
+        factors = [
+            np.array([values.get(f"{kind}_{i}", 1.0) for i in range(1, self.specimen.stories + 1)])
+            for kind in (MASS_FACTOR, STIFFNESS_FACTOR)
+        ]
+        if any(np.any(each != 1.0) for each in factors):
+            own = changes.get("specimen", self.specimen)
+            changes["specimen"] = replace(
+                own,
+                masses=tuple((np.array(own.masses) * factors[0]).tolist()),
+                stiffnesses=tuple((np.array(own.stiffnesses) * factors[1]).tolist()),
+            )
         return replace(self, **changes)
 
     @property

@@ -14,6 +14,8 @@ import numpy as np
 from shake_env.errors import ParameterError
 from shake_env.model.ranges import UNCERTAIN, check, is_number
 
+MASS_FACTOR, STIFFNESS_FACTOR = "mass_factor", "stiffness_factor"  # of a storey, by its number
+
 
 @dataclass(frozen=True)
 class Uniform:
@@ -45,7 +47,8 @@ class Uniform:
 class Uncertainty:
     """Distributions of the true plant; None leaves a parameter at its nominal value.
 
-    The number of storeys is common to a batch. Storeys are drawn equal (`Specimen.uniform`).
+    The number of storeys is common to a batch. Storeys are drawn equal (`Specimen.uniform`), and then
+    multiplied by a factor each, where `storey_factor` is drawn.
     """
 
     mass_ratio: Uniform | None = None  # [-]
@@ -56,7 +59,11 @@ class Uncertainty:
     valve_time_constant: Uniform | None = None  # [s]
     valve_gain: Uniform | None = None  # [m/A]
     coulomb_friction: Uniform | None = None  # [N]
-    delay: Uniform | None = None  # [physics steps], rounded
+    delay: Uniform | None = None  # [physics steps], a fraction is allowed
+    table_mass: Uniform | None = None  # [kg]; the specimen's mass ratio stays over the nominal one
+    supply_pressure: Uniform | None = None  # [Pa]; the flow gain stays that of the rated pressure
+    valve_natural_frequency: Uniform | None = None  # [Hz]
+    storey_factor: Uniform | None = None  # [-] one on each storey's mass, one on its stiffness
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -70,15 +77,20 @@ class Uncertainty:
         """Whether anything is drawn."""
         return any(value is not None for value in vars(self).values())
 
-    def sample(self, stream: np.random.Generator) -> dict[str, float]:
-        """Return a value of each uncertain parameter, drawn in fixed order."""
-        values = {
-            name: distribution.draw(stream)
-            for name, distribution in vars(self).items()
-            if distribution is not None
-        }
-        if "delay" in values:
-            values["delay"] = round(values["delay"])
+    def sample(self, stream: np.random.Generator, stories: int) -> dict[str, float]:
+        """Return a value of each uncertain parameter, drawn in fixed order.
+
+        The factors of the storeys are called mass_factor_1, stiffness_factor_1, ... from the table up.
+        """
+        values: dict[str, float] = {}
+        for name, distribution in vars(self).items():
+            if distribution is None:
+                continue
+            names = [name]
+            if name == "storey_factor":
+                floors = range(1, stories + 1)
+                names = [f"{kind}_{i}" for kind in (MASS_FACTOR, STIFFNESS_FACTOR) for i in floors]
+            values |= {each: distribution.draw(stream) for each in names}
         return values
 
     def largest(self, name: str) -> float | None:

@@ -352,7 +352,7 @@ class CompiledEngine:
         past, entry = self._of_tables("past"), self._packed.sizes["entry"]
         depth = past.shape[1] // entry if entry else 0
         action = self._of_tables("action")[:, 0]
-        parts = (self._of_tables("bias"), action)
+        parts = (self._of_tables("bias"), self._of_tables("gain"), action)
         return SensorMemory(*parts, past.reshape(self._tables.lanes, depth, entry))
 
     @memory.setter

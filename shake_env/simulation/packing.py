@@ -113,7 +113,7 @@ def lane_rows(tables: Tables) -> dict[str, FloatArray]:
     if isinstance(dynamics, TableDynamics):
         return {"weights": weights}
     coulomb = np.asarray(dynamics.coulomb)[..., None]
-    return {"weights": weights, "coulomb": coulomb, "spool_rate": dynamics.spool_rate}
+    return {"weights": weights, "coulomb": coulomb, "valve": dynamics.valve}
 
 
 def _switches(parts: Nonlinearity, stories: int, order: int) -> dict[str, int]:
@@ -188,11 +188,12 @@ def _field_rows(tables: Tables, sizes: Mapping[str, int], block: int) -> dict[st
     return rows | {
         "key": 2,
         "weights": 3,
-        "spool_rate": 2,
+        "valve": 3,
         "state": sizes["order"] + sizes["commands"],
         "response": 2 * k,
         "floors": sizes["storeys_seen"],
         "bias": s,
+        "gain": s,
         "noise": up(s, 16 if block == 1 else 4),
         "reading": s,
         "past": sizes["history"],
@@ -241,8 +242,9 @@ def _numbers(tables: Tables, sizes: Mapping[str, int]) -> tuple[FloatArray, dict
             (
                 0.0 if friction.static is None else friction.static - friction.coulomb,
                 friction.stribeck_velocity, friction.smoothing_velocity, friction.viscous,
-                valve.supply_pressure, valve.spool_limit, valve.dead_band, valve.spool_rate_limit,
-                stops.gap, stops.stiffness, stops.damping, yielding.yield_drift, yielding.exponent,
+                valve.rated, valve.supply_sag, valve.spool_limit, valve.dead_band,
+                valve.spool_rate_limit, stops.gap, stops.stiffness, stops.damping,
+                yielding.yield_drift, yielding.exponent,
                 model.current_limit, tables.limit_rate, tables.limit_steps, limits.soft_share,
                 limits.soft_weight, *hard, OBSERVATION_BOUND,
             ),
@@ -258,7 +260,7 @@ def _numbers(tables: Tables, sizes: Mapping[str, int]) -> tuple[FloatArray, dict
     inverse[layout.preview] = 1.0 / measured.preview_scale
     found = (
         bounds, inverse, measured.resolution, measured.rounded, measured.scale,
-        measured.rms, measured.offset,
+        measured.rms, measured.offset, measured.gain_error,
     )  # fmt: skip
     starts, start = {}, len(scalars)
     for name, values in zip(VECTORS, found, strict=True):

@@ -15,7 +15,7 @@ from shake_env.dynamics.ground import GroundMaps
 from shake_env.dynamics.nonlinear import NonlinearDynamics, arrival, commands_under_way, floor_rows
 from shake_env.errors import ScenarioError
 from shake_env.model.discretization import MOST_DIRECTIONS, DiscretePlant
-from shake_env.model.parameters import FloatArray, stacked
+from shake_env.model.parameters import FloatArray, stacked, unchecked
 from shake_env.model.plant import CoupledPlant
 from shake_env.scenario.objective import StageCost
 from shake_env.scenario.scenario import Scenario
@@ -76,7 +76,8 @@ class Fleet:
     def draw(self, lanes: Sequence[int], streams: Sequence[np.random.Generator]) -> None:
         """Give each of `lanes` a new plant, drawn from its stream."""
         scenario, index = self.scenario, np.asarray(lanes, dtype=int)
-        values = [scenario.uncertainty.sample(stream) for stream in streams]
+        stories = scenario.specimen.stories
+        values = [scenario.uncertainty.sample(stream, stories) for stream in streams]
         drawn = [scenario.with_plant(each) for each in values]
         for lane, each, true in zip(lanes, values, drawn, strict=True):
             self._values[lane], self.plants[lane] = each, true
@@ -87,9 +88,11 @@ class Fleet:
             actuator, stacked([true.specimen for true in drawn]), scenario.ground, scenario.equations
         )
         parts, step, k = scenario.parts, scenario.physics_step, scenario.substeps
+        valve = stacked([true.nonlinearity.valve for true in drawn])
+        own_parts = unchecked(parts, valve=valve) if parts.valve.active else parts
         dynamics = NonlinearDynamics.of(
             plant,
-            parts,
+            own_parts,
             step,
             k,
             longest_delay=scenario.longest_delay,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from shake_env.dynamics.ground import GroundPeriod
 from shake_env.kernels.layout import TERMINATED, TRUNCATED
 from shake_env.model.parameters import FloatArray
-from shake_env.model.random_numbers import OFFSETS, SENSORS, normals
+from shake_env.model.random_numbers import GAINS, OFFSETS, SENSORS, normals
 from shake_env.motion.targets import EpisodeMotion
 from shake_env.scenario.limits import OBSERVATION_BOUND
 from shake_env.simulation.engine import (
@@ -65,8 +65,9 @@ class ReferenceEngine:
             shown = model.measurement.observation(head, None, ground.preview, memory)
         else:
             measurement, count = model.measurement, len(model.measurement.rms)
-            drawn = normals(np.stack(keys), np.zeros(len(keys), dtype=np.int64), OFFSETS, count)
-            memory = replace(memory, bias=measurement.offset * drawn)
+            keys_now, zero = np.stack(keys), np.zeros(len(keys), dtype=np.int64)
+            bias, gain = (normals(keys_now, zero, block, count) for block in (OFFSETS, GAINS))
+            memory = replace(memory, bias=measurement.offset * bias, gain=measurement.gain_error * gain)
             noise = self._noise()[index]
             readings, memory = measurement.read(memory, np.zeros_like(noise), noise, memory.action)
             shown, memory = model.show(readings, ground, memory)

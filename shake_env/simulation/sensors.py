@@ -22,6 +22,7 @@ class SensorMemory:
     """What the sensors of a table remember from one control period to the next."""
 
     bias: Array  # (..., s) offsets of this episode, SI
+    gain: Array  # (..., s) gain errors of this episode [-]
     action: Array  # (...) last action, within [-1, 1]
     past: Array  # (..., history, s or s + 1) readings over their scale and last actions, newest first
 
@@ -51,6 +52,7 @@ class Measurement:
     preview_scale: float  # [m/s^2]
     rms: Array  # (s,) of the white noise, SI
     offset: Array  # (s,) standard deviation of the constant offset that an episode draws, SI
+    gain_error: Array  # (s,) [-] likewise of the relative gain error
 
     @classmethod
     def of(cls, scenario: Scenario) -> Measurement:
@@ -69,17 +71,19 @@ class Measurement:
             preview_scale=float(np.sqrt(layout.plant.target_variance)),
             rms=layout.sensor_values("noise"),
             offset=layout.sensor_values("bias"),
+            gain_error=layout.sensor_values("gain_error"),
         )
 
     def like(self, array: Array) -> Measurement:
         """Return this measurement in the library, precision and device of `array`."""
-        names = ("resolution", "rounded", "scale", "rms", "offset")
+        names = ("resolution", "rounded", "scale", "rms", "offset", "gain_error")
         return replace(self, **{name: as_like(getattr(self, name), array) for name in names})
 
     def rest(self, lanes: int) -> SensorMemory:
         """Return the memory (lanes, ...) of sensors without offset on tables at rest."""
         s, shown = self.layout.readings_count, self.layout.sensing
         return SensorMemory(
+            np.zeros((lanes, s)),
             np.zeros((lanes, s)),
             np.zeros(lanes),
             np.zeros((lanes, shown.history, s + shown.last_action)),
@@ -136,7 +140,7 @@ class Measurement:
             puts it there, once it has been shown.
         """
         xp = array_api_compat.array_namespace(signals)
-        reading = signals + memory.bias + noise
+        reading = signals + memory.gain * signals + memory.bias + noise
         error = self.rounded * (xp.round(reading / self.resolution) * self.resolution - reading)
         if hasattr(error, "detach"):
             # Rounding has no slope; learning through the plant takes it for an error that is given

@@ -163,12 +163,17 @@ def test_a_page_without_markers_is_refused(tmp_path):
         "acceleration_rms_error": 0.1, "acceleration_peak_error": 0.1, "base_shear_rms_error": 0.1,
         "base_shear_peak_error": 0.1, "delay": None, "spectral_error": 0.1, "arias_ratio": 1.0,
         "drift_ratio": 1.0, "energy_ratio": 1.0, "broken_limits": 0, "decision_time": None,
-        "earthquakes": 2, "tests": 8, "damage": 6.04,
+        "earthquakes": 2, "tests": 8, "damage": 6.04, "information": "record known", "mean_cost": 2.0,
+        "bound_cost": 2.0, "bound_cost_low": 2.0, "bound_cost_high": 2.0, "regret_closed": 0.5,
     }  # fmt: skip
     result = {
-        "scenario": "linear", "rows": [row], "seed": 1, "version": "0", "machine": "m", "reference": "x"
+        "scenario": "linear", "rows": [row], "seed": 1, "version": "0", "machine": "m", "reference": "x",
+        "information": "causal", "causal_bound": {"exact": False, "text": "", "cost": None},
+        "bound": {"costs": [1.0, 1.0], "disagreements": [0.0, 0.01], "reason": "", "below": []},
     }  # fmt: skip
-    assert "| x | 1.000 [1.000, 1.000] |" in markdown(result)
+    text = markdown(result)
+    assert "| x | record known \u2020 | 2.000 [2.000, 2.000] | 1.000 [1.000, 1.000] | 50 |" in text
+    assert "knows more than the scenario shows" in text and "agree within" in text
     assert "`x` takes 8 tests" in markdown(result) and "6.0 times the energy" in markdown(result)
     with pytest.raises(ParameterError, match="put the lines"):
         put_tables(page, [result])

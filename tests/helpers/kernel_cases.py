@@ -24,6 +24,8 @@ PARTS = st.builds(
     valve=st.builds(
         ServoValve,
         supply_pressure=st.sampled_from([math.inf, 21e6, 2e6]),
+        rated_pressure=st.sampled_from([None, 25e6]),
+        supply_sag=st.sampled_from([0.0, 5e10]),
         spool_limit=st.sampled_from([math.inf, 1.25e-5, 3e-6]),
         spool_rate_limit=st.sampled_from([math.inf, 1e-3, 1e-4]),
         dead_band=st.sampled_from([0.0, 4e-7]),

@@ -13,7 +13,8 @@ from shake_env.motion.targets import RecordedMotion, target_history
 from shake_env.scenario.scenario import Scenario
 
 CLOSE = 1e-3  # of the motion's rms: the most by which a target may differ from it
-EXPLAINED = 0.5  # share of a channel's power that the fitted model must explain
+EXPLAINED = 0.5  # share of a channel's power above its noise that the fitted model must explain
+LOUD = 2.0  # power of a channel over its noise, below which nothing is asked of it
 ALIKE = 0.9  # correlation at which a channel is taken for another one
 
 
@@ -49,9 +50,15 @@ def require_motion(log: TestLog, scenario: Scenario) -> None:
 
 def require_explained(fit: Fit) -> None:
     """Raise LogError where the fitted model does not explain a channel, and say which it looks like."""
-    for each, shares in zip(fit.likelihood.data, fit.likelihood.fit_of(fit.mode), strict=True):
-        poor = [name for name, share in shares.items() if share < EXPLAINED]
-        if not poor or len(each.log.channels[CURRENT]) == 0:
+    for each, errors in zip(fit.likelihood.data, fit.likelihood.errors(fit.mode[None]), strict=True):
+        noise = each.variance * len(each.coefficients)
+        power, left = np.sum(each.coefficients**2, axis=0), np.sum(errors[0] ** 2, axis=0)
+        # Of what stands above the sensor's noise, where enough does.
+        above, lost = np.maximum(power - noise, 1e-300), np.maximum(left - noise, 0.0)
+        shares = dict(zip(each.channels, (1.0 - lost / above).tolist(), strict=True))
+        loud = dict(zip(each.channels, (power > LOUD * noise).tolist(), strict=True))
+        poor = [name for name, share in shares.items() if loud[name] and share < EXPLAINED]
+        if not poor:
             continue
         # The prior's table: a fit to channels that are not what they say leads anywhere.
         model = fit.likelihood.scenario

@@ -17,6 +17,7 @@ STARTS = 96  # draws of the prior that the search begins at the best of
 STEP = 1e-3  # of a prior standard deviation, between the tables that slopes are taken from
 ROUNDS = 6  # of discrepancy and fit, at most
 FIRST_SHARE = 0.3  # of discrepancy, while the parameters are far off
+NEARER = (0.03, 0.0)  # then
 SETTLED = 0.1  # relative change of the shares that ends the rounds
 
 
@@ -93,12 +94,18 @@ def fit(
     root = prior.root
     costs = far.log_density(draws) - 0.5 * np.sum(((draws - prior.mean) @ root.T) ** 2, axis=1)
     found = _search(far, prior, draws[int(np.argmax(costs))])
+    # A discrepancy that is estimated where the parameters are still off would explain that, and stay:
+    # first the model is trusted, as far as it goes.
+    for share in NEARER:
+        nearer = Likelihood.of(likelihood.scenario, prior.names, likelihood.data, share)
+        found = _search(nearer, prior, found.mode)
     on_progress(1.0 / ROUNDS)
-    current = likelihood
+    current = Likelihood.of(likelihood.scenario, prior.names, likelihood.data)
     for number in range(2, ROUNDS + 1):
         last = current
         current = last.with_discrepancy(found.mode) if discrepancy else last
-        found = _search(current, prior, found.mode)
+        if number > 2 or any(share.any() for share in current.shares):
+            found = _search(current, prior, found.mode)
         on_progress(number / ROUNDS)
         change = max(
             float(np.max(np.abs(new - old) / np.maximum(old, 1e-4), initial=0.0))

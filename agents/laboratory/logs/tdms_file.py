@@ -7,6 +7,7 @@ the names of a log's attributes are those.
 from __future__ import annotations
 
 import io
+import logging
 import warnings
 
 import numpy as np
@@ -27,6 +28,7 @@ def read_tdms(source: str, content: bytes) -> RawTable:
         If npTDMS is missing or cannot read it, or channels state several steps.
     """
     nptdms = library("nptdms")
+    logging.getLogger("nptdms").setLevel(logging.CRITICAL)  # it prints what it could not read
     columns: dict[str, FloatArray] = {}
     units: dict[str, str] = {}
     steps: set[float] = set()

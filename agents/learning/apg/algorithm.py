@@ -27,7 +27,9 @@ from agents.learning.apg.window_rollout import Window, WindowRollout
 from agents.learning.networks import GRUPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
 from shake_env.errors import ParameterError
+from shake_env.simulation.engine import LaneState
 
+STEP_TRIALS = 4  # lengths of a step that are tried, the last of them 0
 Seen = tuple[torch.Tensor, torch.Tensor]  # what actor and critic see of an observation
 
 
@@ -81,6 +83,9 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         0: all of a window is kept. Near the square root of `window` memory is least.
     stagger
         Whether first episodes are shortened so that lanes stand at different places of their motions.
+    step_check
+        Whether a step is halved while its own window would cost more with it (a line search on each
+        sample, as of Vaswani et al., NeurIPS 2019); for one more forward pass a step.
 
     Raises
     ------
@@ -112,6 +117,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         plant_dtype: str = "float64",
         checkpoint: int = 0,
         stagger: bool = True,
+        step_check: bool = False,
         stats_window_size: int = 100,
         tensorboard_log: str | None = None,
         policy_kwargs: dict[str, Any] | None = None,
@@ -149,8 +155,9 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.plant_dtype = plant_dtype
         self.checkpoint = checkpoint
         self.stagger = stagger
+        self.step_check = step_check
         self.memory: torch.Tensor | None = None  # (N, units) recurrent policy's, at a window's start
-        self.retreats = 0
+        self.retreats = self.halvings = 0
         self._tables: WindowRollout | None = None
         if _init_setup_model:
             self._setup_model()
@@ -230,11 +237,15 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.policy.set_training_mode(True)
         rate = self.lr_schedule(self._current_progress_remaining)
         update_learning_rate(self.policy.optimizer, rate)
+        start = (self.tables.env.get_state(), self.memory) if self.step_check else None
         loss, window, seen = self.window_loss()
         norm = self._gradient(loss, self._actor)
         if np.isfinite(norm):
             self._follow(self._actor)
+            before = [parameter.detach().clone() for parameter in self._actor]
             self._step()
+            if start is not None:
+                self._check_step(float(loss.detach()), start, before)
         else:
             self._retreat()
         if self.terminal_value:
@@ -250,6 +261,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.logger.record("train/broken_limits", int(window.terminated.sum()))
         self.logger.record("train/gradient_norm", norm)
         self.logger.record("train/retreats", self.retreats)
+        self.logger.record("train/halvings", self.halvings)
         self.logger.record("train/learning_rate", rate)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
 
@@ -339,6 +351,27 @@ class AnalyticPolicyGradient(BaseAlgorithm):
     def _step(self) -> None:
         self.policy.optimizer.step()
         self.policy.optimizer.zero_grad(set_to_none=True)
+
+    @torch.no_grad()
+    def _check_step(
+        self, loss: float, start: tuple[LaneState, torch.Tensor | None], before: list[torch.Tensor]
+    ) -> None:
+        """Halve the last step until its own window costs no more with it than without; drop it at last.
+
+        The window is followed again from where it began, on the same ground and noise.
+        """
+        end, memory = self.tables.env.get_state(), self.memory
+        for trial in range(STEP_TRIALS):
+            self.tables.env.set_state(start[0])
+            self.memory = start[1]
+            if float(self.window_loss()[0]) <= loss:
+                break
+            self.halvings += 1
+            share = 0.5 if trial < STEP_TRIALS - 1 else 0.0
+            for parameter, old in zip(self._actor, before, strict=True):
+                parameter.copy_(old + share * (parameter - old))
+        self.tables.env.set_state(end)
+        self.memory = memory
 
     @torch.no_grad()
     def _retreat(self) -> None:

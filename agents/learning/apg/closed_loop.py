@@ -151,7 +151,9 @@ class ClosedLoop:
                 kept = self.law.keep(known, action)
                 row[:, columns["law"]] = kept
             made = row @ signals.matrix.T
-            made += self._rounding(made, row) @ signals.matrix[:, columns["added"]].T
+            misread = start.sensors.gain * made[:, rows["signals"]]
+            misread += self._rounding(made[:, rows["signals"]] + misread + row[:, columns["added"]])
+            made += misread @ signals.matrix[:, columns["added"]].T
             if self.law is not None:
                 gains = self._gains(start.age + t + 1)
                 made += apply(gains, made[:, rows["innovation"]]) @ signals.gained.T
@@ -164,7 +166,9 @@ class ClosedLoop:
             shown[t + 1, :, : observation.shape[1]] = observation
         begun[steps] = state
         history = past.reshape(start.sensors.past.shape)
-        sensors = SensorMemory(start.sensors.bias, total[-1].clip(-1.0, 1.0), history)
+        sensors = SensorMemory(
+            start.sensors.bias, start.sensors.gain, total[-1].clip(-1.0, 1.0), history
+        )
         return Passage(begun, ends, acceleration, shear, correction, total, shown, alive, sensors, kept)
 
     def sweep(
@@ -204,6 +208,8 @@ class ClosedLoop:
                 out[:, rows["innovation"]] = 0.0
                 change = out @ signals.gained
                 out[:, rows["innovation"]] = apply(_transposed(self._gains(age + t + 1)), change)
+            added = out @ signals.matrix[:, columns["added"]]
+            out[:, rows["signals"]] = passage.sensors.gain * added
             back = out @ signals.matrix
             action = slopes["action"][t] + back[:, columns["action"]][:, 0]
             if law is not None:
@@ -244,10 +250,9 @@ class ClosedLoop:
             inputs[:, :, columns["preview"]] = ground.preview
         return inputs
 
-    def _rounding(self, made: FloatArray, row: FloatArray) -> FloatArray:
-        """Return what rounding adds to the readings (N, s) [SI]; it has no derivative."""
+    def _rounding(self, reading: FloatArray) -> FloatArray:
+        """Return what rounding adds to readings (N, s) [SI]; it has no derivative."""
         measurement = self.model.measurement
-        reading = made[:, self.signals.rows["signals"]] + row[:, self.signals.columns["added"]]
         rounded = np.round(reading / measurement.resolution) * measurement.resolution
         error: FloatArray = measurement.rounded * (rounded - reading)
         return error

@@ -61,9 +61,8 @@ class Signals:
             part["ground"], part["reference"], target, target, None,
             part["preview"] if layout.preview_samples else None,
         )  # fmt: skip
-        memory = SensorMemory(
-            np.zeros((batch, s)), np.zeros(batch), part["past"].reshape(batch, *rest.past.shape[1:])
-        )  # fmt: skip
+        past, none = part["past"].reshape(batch, *rest.past.shape[1:]), np.zeros((batch, s))
+        memory = SensorMemory(none, none, np.zeros(batch), past)
         floors = part["floors"] if widths["floors"] else None
         observation, memory = exact.look(
             response, floors, ground, part["action"][:, 0], memory, part["added"]

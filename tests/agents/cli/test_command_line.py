@@ -258,7 +258,10 @@ def test_a_full_standard_output_is_named_without_a_traceback(words):
 # Tables
 
 
-HEADINGS = ("controller", *(heading.format(reference="LQG") for heading, _ in COLUMNS))
+HEADINGS = (
+    "controller",
+    *(heading.format(reference="LQG", drive="current\nmA") for heading, _ in COLUMNS),
+)
 NAMES = ("lqr", "lqg-dac", "a-run-with-a-long-name-of-its-own")
 ROWS = [[name, "1.234 [1.111, 1.333]", *(["12.3"] * (len(HEADINGS) - 2))] for name in NAMES]
 

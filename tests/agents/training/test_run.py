@@ -13,6 +13,7 @@ from agents.policies.policy_file import load_policy
 from agents.scenario_options import ScenarioOptions
 from agents.training.algorithm_options import (
     APGOptions,
+    DaggerOptions,
     PPOOptions,
     RecurrentPPOOptions,
     SACOptions,
@@ -25,12 +26,19 @@ from agents.training.run import resume, train
 from shake_env.errors import ParameterError, RunDirectoryError
 
 
-def small(algorithm, memory=0, **changes):
+def small(algorithm, memory=0, paired=False, **changes):
     """A run of a few seconds that checkpoints between any two roll-outs."""
     return TrainConfig(
         algorithm=algorithm,
-        ppo=PPOOptions(n_envs=4, n_steps=32, batch_size=64, n_epochs=2),
-        sac=SACOptions(n_envs=4, batch_size=32, gradient_steps=1, buffer_size=2000, learning_starts=64),
+        ppo=PPOOptions(n_envs=4, n_steps=32, batch_size=64, n_epochs=2, paired=paired),
+        sac=SACOptions(
+            n_envs=4,
+            batch_size=32,
+            gradient_steps=1,
+            buffer_size=2000,
+            learning_starts=64,
+            paired=paired,
+        ),
         td3=TD3Options(n_envs=4, batch_size=32, gradient_steps=3, buffer_size=400, learning_starts=64),
         tqc=TQCOptions(
             n_envs=4,
@@ -41,7 +49,10 @@ def small(algorithm, memory=0, **changes):
             n_quantiles=5,
         ),
         recurrent_ppo=RecurrentPPOOptions(
-            n_envs=4, n_steps=32, batch_size=64, n_epochs=2, lstm_hidden_size=8
+            n_envs=4, n_steps=32, batch_size=64, n_epochs=2, lstm_hidden_size=8, paired=paired
+        ),
+        dagger=DaggerOptions(
+            teacher="lqg-dac", base_controller="lqg", n_envs=3, batch_size=60, sequence_length=20
         ),
         apg=APGOptions(n_envs=4, rollout_horizon=16, gru_hidden_size=memory, terminal_value=True),
         net_arch=(16,),
@@ -65,6 +76,10 @@ def small(algorithm, memory=0, **changes):
         ("apg", {}),
         ("apg", {"memory": 8, "scenario": ScenarioOptions("unknown-specimen")}),
         ("apg", {"num_artificial_motions": 3, "scenario": ScenarioOptions("laboratory")}),
+        ("ppo", {"paired": True, "scenario": ScenarioOptions("unknown-specimen")}),
+        ("recurrent-ppo", {"paired": True, "scenario": ScenarioOptions("laboratory")}),
+        ("sac", {"paired": True}),
+        ("dagger", {"scenario": ScenarioOptions("laboratory")}),
     ],
     ids=str,
 )

@@ -30,7 +30,7 @@ def test_any_field_by_its_path():
     assert scenario.nonlinearity.friction.coulomb == 300.0
     assert scenario.nonlinearity.valve.natural_frequency == 60.0
     assert scenario.nonlinearity.valve.spool_limit == 2e-5  # the rest of the part stays
-    assert scenario.observation.preview_samples == 40
+    assert scenario.observation.preview_samples == 200
     noise = dict(
         zip(scenario.observation.reading_names, scenario.observation.sensor_values("noise"), strict=True)
     )
@@ -194,7 +194,7 @@ def test_scenario_command_prints_every_field(capsys):
     shown = json.loads(capsys.readouterr().out)
     assert shown["fields"]["nonlinearity.friction.coulomb"] == 150.0
     assert shown["fields"]["sensing.preview"] == 0.2
-    assert len(shown["observation"]) == 4 + 5 + 40 + 1
+    assert len(shown["observation"]) == 4 + 5 + 200 + 1
     numbers = (path for path, value in shown["fields"].items() if isinstance(value, float))
     path = next(p for p in numbers if p.startswith("nonlinearity.friction"))
     again = make_scenario("laboratory", {"fields": {path: shown["fields"][path]}})

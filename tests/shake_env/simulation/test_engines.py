@@ -36,7 +36,14 @@ LABORATORY = Nonlinearity(
     stops=StrokeStops(gap=0.076),
 )
 NOISY = tuple(
-    Sensor(signal=name, noise=noise, bias=noise, resolution=resolution, lowpass_frequency=lowpass)
+    Sensor(
+        signal=name,
+        noise=noise,
+        bias=noise,
+        resolution=resolution,
+        lowpass_frequency=lowpass,
+        gain_error=0.03 if lowpass else 0.0,
+    )
     for name, noise, resolution, lowpass in (
         ("floor_accelerations", 0.02, 0.0, None),
         ("table_acceleration", 0.05, 0.01, 80.0),
@@ -330,3 +337,40 @@ def test_threads_do_not_change_a_bit():
     twin.start([1090], streams([5], 5))
     two.start([1090], streams([5], 5))
     np.testing.assert_array_equal(twin.step(action).report, two.step(action).report)
+
+
+@pytest.mark.parametrize("lanes", [1, 5])
+def test_the_fields_engines_agree(lanes):
+    """Every lane has a supply, a valve, storeys and sensor gains of its own."""
+    scenario = make_scenario("field", {"duration": 0.5})
+    compiled, plain = pair(scenario, lanes)
+    ours = compiled.start(range(lanes), streams(range(lanes), 3))
+    theirs = uncompiled(lambda: plain.start(range(lanes), streams(range(lanes), 3)))
+    np.testing.assert_array_max_ulp(ours, theirs, 1)
+    assert len({plant.nonlinearity.valve.supply_pressure for plant in compiled.fleet.plants}) == lanes
+    gain = compiled.memory.gain
+    np.testing.assert_allclose(gain, plain.memory.gain)
+    assert 0.0 < np.abs(gain).max() < 0.06
+    rng = np.random.default_rng(1)
+    for _ in range(90):
+        action = rng.uniform(-0.3, 0.3, lanes)
+        ours = compiled.step(action)
+        theirs = uncompiled(lambda action=action: plain.step(action))
+        close(compiled.state, plain.state, np.abs(plain.state).max(axis=0))
+        close(ours.report, theirs.report, np.abs(theirs.report).max(axis=1, keepdims=True))
+        np.testing.assert_allclose(ours.observation, theirs.observation, rtol=2e-6, atol=1e-6)
+
+
+def test_a_lanes_field_depends_on_its_seed_alone():
+    scenario = make_scenario("field", {"duration": 0.5})
+    shown = []
+    for lanes, lane in ((1, 0), (3, 1), (BLOCK + 3, BLOCK + 1)):
+        simulation = Simulation(scenario, lanes)
+        seeds = [np.random.default_rng(50 + i) for i in range(lanes)]
+        seeds[lane] = np.random.default_rng(7)
+        simulation.start(range(lanes), seeds)
+        for _ in range(20):
+            result = simulation.step(np.full(lanes, 0.1))
+        shown.append(np.append(result.observation[lane], simulation.memory.gain[lane]))
+    np.testing.assert_allclose(shown[1], shown[0], rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(shown[2], shown[0], rtol=1e-6, atol=1e-7)

@@ -77,6 +77,41 @@ def test_a_lane_of_a_fleet_is_its_drawn_plant_alone():
         assert np.abs(reference[:, lane]).max() > 0.1  # the record begins quietly
 
 
+def test_the_fields_plants_drawn_at_once_are_those_drawn_one_by_one():
+    scenario = make_scenario("field")
+    fleet = Fleet(scenario, 40)
+    fleet.draw(range(40), [np.random.default_rng(seed) for seed in range(40)])
+    for lane in (0, 7, 39):
+        true = scenario.drawn(np.random.default_rng(lane))
+        assert fleet.plants[lane] == true
+        own = dynamics_of(true)
+        scale = nonlinear_dynamics.controlled_scale(
+            true.plant, true.parts, scenario.observation.low_passes
+        )
+        m = len(scale)
+        for name in nonlinear_dynamics.ARRAYS:
+            ours, theirs = getattr(fleet.model.dynamics, name)[lane], getattr(own, name)
+            if name == "advance":  # nothing feels a low-pass: there are zeros, but for rounding
+                ours, theirs = (np.array(part) for part in (ours, theirs))
+                for part in (ours, theirs):
+                    part[:, :m] *= scale / scale[:, None]
+                np.testing.assert_allclose(ours[:, :m], theirs[:, :m], atol=1e-13)
+                ours, theirs = ours[:, m:], theirs[:, m:]
+            np.testing.assert_allclose(ours, theirs, rtol=1e-11, atol=0, err_msg=name)
+    nominal = scenario.actuator
+    drawn = [plant.actuator for plant in fleet.plants]
+    for name, share in (("bulk_modulus", 0.2), ("valve_gain", 0.1), ("table_mass", 0.02)):
+        ratio = np.array([getattr(each, name) for each in drawn]) / getattr(nominal, name)
+        assert 0.8 * share < np.abs(ratio - 1.0).max() <= share and abs(np.mean(ratio) - 1.0) < share / 3
+    valves = [plant.nonlinearity.valve for plant in fleet.plants]
+    assert {valve.rated_pressure for valve in valves} == {21e6}
+    assert 17e6 <= min(v.supply_pressure for v in valves) < 18e6
+    assert 1.5 <= min(plant.delay for plant in fleet.plants) < 1.8
+    storeys = np.array([plant.specimen.masses for plant in fleet.plants])
+    assert 0.05 < np.std(storeys[:, 0] / storeys[:, 1]) < 0.12
+    assert all(plant.plant.specimen.mass > 0.0 for plant in fleet.plants)
+
+
 @pytest.mark.parametrize("yielding", [Yielding(), Yielding(yield_drift=0.006)])
 @pytest.mark.parametrize("valve", [ServoValve(), ServoValve(natural_frequency=60.0)])
 def test_plants_drawn_at_once_are_those_drawn_one_by_one(yielding, valve):

@@ -284,6 +284,40 @@ def test_another_environment_is_refused_with_the_remedy():
         AnalyticPolicyGradient("MlpPolicy", env, plant_dtype="half", device="cpu")
 
 
+@pytest.mark.parametrize("memory", [False, True])
+def test_a_step_that_would_cost_its_own_window_more_is_halved_or_dropped(memory):
+    model = model_on(make_scenario("linear"), memory=memory)
+    for _ in range(4):  # away from rest
+        _, window, _ = model.window_loss()
+        model.tables.sync_env(window)
+    model._last_episode_starts[:] = False
+    start, kept = model.env.get_state(), model.memory
+    parameters = [parameter.detach().clone() for parameter in model._actor]
+
+    def after_a_step(rate, check):
+        """Return the cost of the window with the new parameters, and where the tables went."""
+        model.env.set_state(start)
+        model.memory, model.halvings, model.step_check = kept, 0, check
+        model.lr_schedule = lambda progress: rate
+        model.train()
+        place = model.env.get_state()
+        model.env.set_state(start)
+        model.memory = kept
+        cost = model.window_loss()[0].item()
+        with torch.no_grad():
+            for parameter, old in zip(model._actor, parameters, strict=True):
+                parameter.copy_(old)
+        return cost, place
+
+    before, unchecked = after_a_step(0.0, False)
+    cost, place = after_a_step(1e-5, True)
+    assert model.halvings == 0 and cost < before
+    for name in ("state", "key", "period", "step_count", "returns", "observation"):
+        np.testing.assert_array_equal(place[name], unchecked[name])  # the check moved no table
+    assert after_a_step(10.0, False)[0] > before
+    assert after_a_step(10.0, True)[0] <= before and model.halvings > 0
+
+
 def test_single_precision_follows_double():
     scenario = make_scenario("laboratory")
     model = model_on(scenario)

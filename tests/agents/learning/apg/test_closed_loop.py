@@ -29,6 +29,7 @@ CASES = {
     "estimator": ("laboratory", {}, {"base": "lqg", "authority": 0.3, "terminal_value": False}),
     "estimator, a specimen each": ("unknown-specimen", {}, {"base": "lqg", "authority": 0.3}),
     "records": ("records", {}, {"gain": 0.02}),
+    "field": ("field", {}, {"base": "lqg-dac", "authority": 0.3}),
     "yielding": ("yielding", {}, {"gain": 5e-4}),
     "floors and history": ("laboratory", {"sensing": FLOORS}, {}),
 }

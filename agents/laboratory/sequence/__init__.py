@@ -1,0 +1,1 @@
+"""A sequence of shakes of rising amplitude: plan, forecast, shake, update."""

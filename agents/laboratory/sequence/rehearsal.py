@@ -1,0 +1,271 @@
+"""The whole loop against simulated laboratories whose truth nobody is told."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from collections.abc import Sequence as Items
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.laboratory.forecasting.quantities import OutcomeRecorder, Outcomes
+from agents.laboratory.identification.parameters import default_prior, plants
+from agents.laboratory.logs.other_plant import OnOtherPlant
+from agents.laboratory.logs.recorder import LogRecorder
+from agents.laboratory.logs.test_log import TestLog
+from agents.laboratory.sequence.state import Sequence
+from agents.laboratory.sequence.steps import close_shake, designed_on, next_shake, plan
+from agents.policies.registry import get_controller
+from shake_env.controller import Controller
+from shake_env.errors import ShakeError
+from shake_env.model.parameters import Specimen
+from shake_env.model.specimens import specimen_from_matrices
+from shake_env.rollout import Earthquake, rollout
+from shake_env.safety.supervisor import Supervised
+from shake_env.scenario.scenario import Scenario
+from shake_env.scenario.uncertainty import Uncertainty
+
+UNEQUAL = 0.15  # standard deviation of the logarithm of a storey's stiffness about the others'
+STICTION = (1.0, 1.5)  # static over Coulomb friction
+SAG = (0.85, 1.0)  # supply pressure over the nominal one
+BIAS = 3.0  # of the sensors' own offsets
+
+
+def hidden_truth(scenario: Scenario, stream: np.random.Generator, *, wider: bool = True) -> Scenario:
+    """Return a plant that the fitted model is not told; its sensors are the scenario's.
+
+    Drawn from the scenario's prior, and with `wider` outside of the model: unequal storeys with
+    Rayleigh damping, Stribeck friction, a valve of second order, a supply pressure that sags, and larger
+    offsets of the sensors.
+    """
+    prior = default_prior(scenario)
+    plain = replace(scenario, uncertainty=Uncertainty())
+    truth = None
+    while truth is None:
+        (truth,) = plants(plain, prior.names, prior.draw(1, stream))
+    if not wider:
+        return truth
+    specimen = truth.specimen
+    factors = np.exp(UNEQUAL * stream.standard_normal(specimen.stories))
+    stiffnesses = tuple((np.array(specimen.stiffnesses) * factors).tolist())
+    unequal = replace(specimen, stiffnesses=stiffnesses)
+    parts, supply = truth.nonlinearity, truth.nonlinearity.valve.supply_pressure
+    coulomb = parts.friction.coulomb
+    friction = replace(parts.friction, static=coulomb * stream.uniform(*STICTION))
+    damping = parts.valve.damping_ratio
+    valve = replace(
+        parts.valve,
+        supply_pressure=supply * stream.uniform(*SAG),
+        # The same delay at low frequencies as the first-order valve: 2 zeta / omega = T_v.
+        natural_frequency=damping / (np.pi * truth.actuator.valve_time_constant),
+    )
+    sensors = tuple(replace(s, bias=BIAS * s.bias) for s in truth.sensing.sensors or ())
+    return replace(
+        truth,
+        specimen=_rayleigh(unequal),
+        nonlinearity=replace(parts, friction=friction, valve=valve),
+        sensing=replace(truth.sensing, sensors=sensors or None),
+    )
+
+
+def _rayleigh(specimen: Specimen) -> Specimen:
+    """Return storeys with Rayleigh damping that has their first two modes' ratio."""
+    if specimen.stories < 2:
+        return specimen
+    frequencies = specimen.fixed_base_frequencies[:2].tolist()
+    m, k, c = specimen.masses[0], specimen.stiffnesses[0], specimen.dampings[0]
+    ratio = c / (2.0 * (m * k) ** 0.5)
+    pairs = [(frequency, ratio) for frequency in frequencies]
+    return specimen_from_matrices(specimen.mass_matrix, specimen.stiffness_matrix, rayleigh=pairs)
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """One truth's sequence."""
+
+    truth: int
+    values: dict[str, float]  # of the hidden plant
+    inside: dict[str, bool]  # outcome of the forecast quantities of every shake, by shake and name
+    errors: list[float]  # base-shear error of each shake
+    informed: float  # of the full shake under the same controller told the truth
+    nominal: float  # of the full shake under the same controller on the nominal specimen
+    limits_broken: int
+    overridden: int
+    failure: str | None = None
+
+
+def rehearse(
+    scenario: Scenario,
+    *,
+    truths: int,
+    seed: int = 0,
+    amplitudes: Items[float] = (0.1, 0.25, 0.5, 0.75, 1.0),
+    controllers: Items[str] = ("lqg",),
+    samples: int = 100,
+    wider: bool = True,
+    discrepancy: bool = True,
+    on_progress: Callable[[str, float], None] = lambda what, share: None,
+) -> list[Rehearsal]:
+    """Run the whole loop on hidden truths; every shake under the supervisor.
+
+    Parameters
+    ----------
+    scenario
+        What the laboratory knows: nominal model, uncertainty, motion of the full shake.
+    truths, seed
+        Number of hidden plants, and the seed of all that is drawn.
+    amplitudes, controllers, samples
+        See `plan`.
+    wider
+        Whether truths lie outside of the model; False: drawn from the prior.
+    discrepancy
+        Whether the update knows that its model lacks something.
+    on_progress
+        Told the share of all shakes done.
+    """
+    found = []
+    for number in range(truths):
+        stream = np.random.default_rng([seed, number])
+        truth = hidden_truth(scenario, stream, wider=wider)
+
+        def told(what: str, share: float, number: int = number) -> None:
+            on_progress("rehearsal", (number + share) / truths)
+
+        with tempfile.TemporaryDirectory() as folder:
+            options = (tuple(amplitudes), tuple(controllers), samples, seed, discrepancy)
+            found.append(_one(scenario, truth, number, Path(folder), options, told))
+    return found
+
+
+def _one(
+    scenario: Scenario,
+    truth: Scenario,
+    number: int,
+    folder: Path,
+    options: tuple[tuple[float, ...], tuple[str, ...], int, int, bool],
+    told: Callable[[str, float], None],
+) -> Rehearsal:
+    amplitudes, controllers, samples, seed, discrepancy = options
+    sequence = plan(
+        folder / "sequence", scenario, amplitudes=amplitudes, controllers=controllers, samples=samples
+    )
+    inside: dict[str, bool] = {}
+    errors: list[float] = []
+    broken = overridden = 0
+    failure, name = None, controllers[0]
+    try:
+        for step in range(len(amplitudes)):
+            sequence, forecasts = next_shake(sequence, override="rehearsal: the truth is simulated")
+            name = sequence.next.controller or controllers[0]
+            overridden += sequence.next.override is not None
+            belief = next(each for each in forecasts if each.controller == name)
+            design = designed_on(sequence)
+            log, outcomes = shake(design, truth, name, seed + 100 * number + step)
+            for quantity, column in outcomes.values.items():
+                low, _, high = belief.interval(quantity)
+                inside[f"{step + 1} {quantity}"] = bool(low <= column[0] <= high)
+            errors.append(float(outcomes.values["base_shear_error"][0]))
+            broken += bool(outcomes.broken[0])
+            sequence, _ = close_shake(sequence, log, discrepancy=discrepancy)
+            told("shake", (step + 1) / (len(amplitudes) + 1))
+    except ShakeError as error:
+        failure = str(error)
+    full = {
+        which: float(
+            shake(design, truth, name, seed + 100 * number + 99)[1].values["base_shear_error"][0]
+        )
+        for which, design in (("informed", _informed(scenario, truth)), ("nominal", scenario))
+    }
+    told("truth", 1.0)
+    return Rehearsal(
+        truth=number,
+        values=_values(truth),
+        inside=inside,
+        errors=errors,
+        informed=full["informed"],
+        nominal=full["nominal"],
+        limits_broken=broken,
+        overridden=overridden,
+        failure=failure,
+    )
+
+
+def shake(design: Scenario, truth: Scenario, name: str, seed: int) -> tuple[TestLog, Outcomes]:
+    """Return the log and the true outcome of a supervised test of a controller on a hidden plant."""
+    design = replace(design, uncertainty=Uncertainty())
+    plant = replace(truth, motion=design.motion)
+    quakes = [Earthquake("shake", design.motion, seed)]
+    controller: Controller = Supervised(get_controller(name, design), design)
+    recorder = LogRecorder(design, quakes, plant=plant)
+    outcome = OutcomeRecorder(design, 1, plant=plant)
+
+    class Both:
+        def add(self, result: Any, running: Any) -> None:
+            recorder.add(result, running)
+            outcome.add(result, running)
+
+    rollout(OnOtherPlant(controller, design, plant), plant, quakes, log=Both())
+    return recorder.logs()[0], outcome.outcomes()
+
+
+def _informed(scenario: Scenario, truth: Scenario) -> Scenario:
+    """Return the truth as a design takes it: with the laboratory's motion and sensors."""
+    return replace(truth, motion=scenario.motion, sensing=scenario.sensing)
+
+
+def _values(truth: Scenario) -> dict[str, float]:
+    specimen = truth.specimen
+    return {
+        "mass_ratio": specimen.mass / truth.actuator.table_mass,
+        "first_frequency": float(specimen.fixed_base_frequencies[0]),
+        "coulomb_friction": truth.nonlinearity.friction.coulomb,
+    }
+
+
+def summary(rehearsals: Items[Rehearsal]) -> dict[str, Any]:
+    """Return the figures of rehearsals as plain JSON values."""
+    done = [each for each in rehearsals if each.failure is None]
+    by_quantity: dict[str, list[bool]] = {}
+    for each in done:
+        for key, flag in each.inside.items():
+            by_quantity.setdefault(key.partition(" ")[2], []).append(flag)
+    flags = [flag for column in by_quantity.values() for flag in column]
+    ratios = [each.errors[-1] / each.informed for each in done]
+    against = [each.errors[-1] / each.nominal for each in done]
+    return {
+        "truths": len(rehearsals),
+        "failed": [[each.truth, each.failure] for each in rehearsals if each.failure is not None],
+        "coverage": float(np.mean(flags)) if flags else None,
+        "coverage_by_quantity": {name: float(np.mean(column)) for name, column in by_quantity.items()},
+        "error_over_informed": _quantiles(ratios),
+        "error_over_nominal": _quantiles(against),
+        "limits_broken": sum(each.limits_broken for each in rehearsals),
+        "overridden": sum(each.overridden for each in rehearsals),
+        "rehearsals": [asdict(each) for each in rehearsals],
+    }
+
+
+def _quantiles(values: list[float]) -> list[float] | None:
+    return np.quantile(values, [0.05, 0.5, 0.95]).tolist() if values else None
+
+
+def state_of(sequence: Sequence) -> dict[str, Any]:
+    """Return a sequence for a person: each shake's amplitude, controller and what came of it."""
+    return {
+        "folder": str(sequence.folder),
+        "done": sequence.number,
+        "calibration": sequence.calibration,
+        "shakes": [
+            {
+                "amplitude": shake.amplitude,
+                "controller": shake.controller,
+                "override": shake.override,
+                "log": None if shake.log is None else shake.log[0],
+                "inside": shake.inside,
+            }
+            for shake in sequence.shakes
+        ],
+    }

@@ -1,0 +1,145 @@
+"""The state of a sequence: a folder with one JSON file and a posterior for each shake.
+
+Every action reads the file, does its work and replaces the file whole: after an interruption the same
+action is given again, and goes on from what is there.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from agents.laboratory.identification.posterior import Posterior, read_posterior
+from agents.laboratory.logs.test_log import scenario_of_text, text_of_scenario
+from shake_env.errors import FileError, ParameterError, ShakeError
+from shake_env.files import no_file, write_json
+from shake_env.scenario.scenario import Scenario
+
+FORMAT, VERSION = "shake_env sequence", 1
+FILE = "sequence.json"
+
+
+@dataclass(frozen=True)
+class Shake:
+    """One step of a sequence."""
+
+    amplitude: float  # [-] of the full motion
+    controller: str | None = None  # chosen by the forecast; None: not forecast yet
+    forecast: Mapping[str, Any] | None = None  # its intervals, as `page.to_json` writes them
+    override: str | None = None  # reason why an unsafe shake is made all the same
+    log: tuple[str, str] | None = None  # name and digest of the log that closed it
+    measured: Mapping[str, float] | None = None  # rms and peak of each channel
+    inside: Mapping[str, bool] | None = None  # whether each lies within its interval
+
+    @property
+    def closed(self) -> bool:
+        """Whether its log has been read."""
+        return self.log is not None
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """Plan and history of one specimen."""
+
+    folder: Path
+    scenario: Scenario  # with the full motion; its uncertainty is the first belief
+    controllers: tuple[str, ...]
+    keep: float  # probability with which every limit must be kept
+    probability: float  # of the intervals
+    samples: int
+    seed: int
+    shakes: tuple[Shake, ...] = field(default=())
+
+    @property
+    def number(self) -> int:
+        """Number of closed shakes, which is the place of the next one."""
+        return sum(shake.closed for shake in self.shakes)
+
+    @property
+    def next(self) -> Shake:
+        """The next shake.
+
+        Raises
+        ------
+        ParameterError
+            If all are done.
+        """
+        if self.number == len(self.shakes):
+            raise ParameterError("sequence", str(self.folder), f"all {self.number} shakes are done")
+        return self.shakes[self.number]
+
+    @property
+    def posterior(self) -> Posterior:
+        """The present belief."""
+        return read_posterior(self.posterior_file(self.number))
+
+    def posterior_file(self, number: int) -> Path:
+        """Return the file of the belief after some shakes."""
+        return self.folder / f"posterior_{number}.json"
+
+    @property
+    def calibration(self) -> float | None:
+        """Share of measured figures that lay within their intervals so far; None before the first."""
+        flags = [flag for shake in self.shakes for flag in (shake.inside or {}).values()]
+        return sum(flags) / len(flags) if flags else None
+
+    def with_next(self, **changes: Any) -> Sequence:
+        """Return the sequence with changes of its next shake."""
+        shakes = list(self.shakes)
+        shakes[self.number] = replace(self.next, **changes)
+        return replace(self, shakes=tuple(shakes))
+
+    def write(self) -> None:
+        """Replace the file."""
+        content = {
+            "format": FORMAT,
+            "version": VERSION,
+            "scenario": json.loads(text_of_scenario(self.scenario)),
+            "controllers": list(self.controllers),
+            "keep": self.keep,
+            "probability": self.probability,
+            "samples": self.samples,
+            "seed": self.seed,
+            "shakes": [asdict(shake) for shake in self.shakes],
+        }
+        write_json(self.folder / FILE, content)
+
+
+def read_sequence(folder: Path) -> Sequence:
+    """Return the sequence of a folder.
+
+    Raises
+    ------
+    FileError
+        If there is none, or its file is damaged.
+    """
+    path = folder / FILE
+    if not path.is_file():
+        raise FileError("sequence", str(path), f"{no_file(path)}: begin with shake sequence plan")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["format"] != FORMAT or content["version"] != VERSION:
+            raise FileError("sequence", str(path), "is no sequence of this version")
+        shakes = []
+        for entry in content["shakes"]:
+            log = entry.pop("log")
+            shakes.append(Shake(**entry, log=None if log is None else (log[0], log[1])))
+        return Sequence(
+            folder=folder,
+            scenario=scenario_of_text(json.dumps(content["scenario"])),
+            controllers=tuple(content["controllers"]),
+            keep=float(content["keep"]),
+            probability=float(content["probability"]),
+            samples=int(content["samples"]),
+            seed=int(content["seed"]),
+            shakes=tuple(shakes),
+        )
+    except OSError as error:
+        raise FileError("sequence", str(path), f"cannot be read ({error.strerror})") from None
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        if isinstance(error, ShakeError):
+            raise
+        raise FileError("sequence", str(path), f"is damaged ({type(error).__name__})") from None

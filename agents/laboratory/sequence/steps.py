@@ -1,0 +1,247 @@
+"""The actions of a sequence: plan it, forecast the next shake, close it with its log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Sequence as Items
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from agents.laboratory.forecasting.forecast import Forecast, advice, forecast
+from agents.laboratory.forecasting.page import to_json, write_page
+from agents.laboratory.identification.consistency import require_motion
+from agents.laboratory.identification.identify import Identified, identify
+from agents.laboratory.identification.parameters import Prior, default_prior, plants
+from agents.laboratory.identification.posterior import Posterior
+from agents.laboratory.logs.log_file import write_log
+from agents.laboratory.logs.test_log import TestLog, require_same_test
+from agents.laboratory.sequence.state import Sequence, Shake
+from shake_env.errors import LogError, ParameterError
+from shake_env.model.parameters import FloatArray
+from shake_env.motion.targets import MotionSet
+from shake_env.scenario.plant_samples import PlantSamples
+from shake_env.scenario.scenario import Scenario
+from shake_env.scenario.scenario_writer import write_scenario
+from shake_env.scenario.uncertainty import Uncertainty
+
+AMPLITUDES = (0.1, 0.25, 0.5, 0.75, 1.0)
+Progress = Callable[[str, float], None]
+
+
+def silent(what: str, share: float) -> None:
+    """Say nothing."""
+
+
+def plan(
+    folder: Path,
+    scenario: Scenario,
+    *,
+    amplitudes: Items[float] = AMPLITUDES,
+    controllers: Items[str] = ("lqg",),
+    prior: Prior | None = None,
+    keep: float = 0.95,
+    probability: float = 0.9,
+    samples: int = 200,
+    seed: int = 0,
+) -> Sequence:
+    """Begin a sequence: write its state and the first belief.
+
+    Parameters
+    ----------
+    folder
+        For its files; it must hold no sequence yet.
+    scenario
+        Test with its full motion; its uncertainty gives the first belief.
+    amplitudes
+        Of the shakes, factors on the motion, rising.
+    controllers
+        Among which each forecast chooses.
+    prior
+        First belief; None: `default_prior`.
+    keep, probability, samples, seed
+        See `agents.laboratory.forecasting.forecast`.
+
+    Raises
+    ------
+    ParameterError
+        If the amplitudes do not rise, or the folder holds a sequence.
+    """
+    if isinstance(scenario.motion, MotionSet):
+        raise ParameterError("motion", "a set", "a sequence repeats one motion: name it")
+    if not amplitudes or any(b <= a for a, b in zip((0.0, *amplitudes), amplitudes, strict=False)):
+        raise ParameterError("amplitudes", tuple(amplitudes), "must rise from above 0")
+    shakes = tuple(Shake(float(amplitude)) for amplitude in amplitudes)
+    sequence = Sequence(folder, scenario, tuple(controllers), keep, probability, samples, seed, shakes)
+    if (folder / "sequence.json").exists():
+        raise ParameterError("folder", str(folder), "holds a sequence already: give another")
+    folder.mkdir(parents=True, exist_ok=True)
+    if isinstance(scenario.uncertainty, PlantSamples) and prior is None:
+        raise ParameterError("prior", "samples", "give the posterior's file as --prior, too")
+    prior = default_prior(scenario) if prior is None else prior
+    belief = Posterior(
+        scenario=replace(scenario, uncertainty=Uncertainty()),
+        names=prior.names,
+        points=_possible(scenario, prior, 4 * samples, seed),
+        method="prior",
+        seed=seed,
+        logs=(),
+        shares=(),
+    )
+    belief.write(sequence.posterior_file(0))
+    sequence.write()
+    return sequence
+
+
+def next_shake(
+    sequence: Sequence,
+    *,
+    override: str | None = None,
+    processes: int = 1,
+    on_progress: Progress = silent,
+) -> tuple[Sequence, list[Forecast]]:
+    """Forecast the next shake on the present belief, choose its controller, and write its scenario.
+
+    Parameters
+    ----------
+    sequence
+        As `read_sequence` returns it.
+    override
+        Reason why the shake is made although its forecast calls it unsafe.
+    processes, on_progress
+        See `forecast`.
+
+    Raises
+    ------
+    ParameterError
+        If the forecast calls it unsafe and no reason is given, or all shakes are done.
+    """
+    shake, number = sequence.next, sequence.number
+    believed = sequence.posterior.uncertain
+    found = forecast(
+        believed,
+        sequence.controllers,
+        amplitudes=(shake.amplitude,),
+        samples=sequence.samples,
+        probability=sequence.probability,
+        seed=7_000_000 + 10_000 * number + sequence.seed,
+        processes=processes,
+        on_progress=on_progress,
+    )
+    chosen = advice(found, sequence.keep)
+    title = f"Shake {number + 1}, amplitude {shake.amplitude:g}"
+    write_page(found, chosen, title, sequence.folder / f"shake_{number + 1}")
+    if chosen.amplitude == 0.0 and not override:
+        raise ParameterError(
+            f"shake {number + 1}",
+            shake.amplitude,
+            f"is unsafe: {chosen.reason}; --override REASON makes it",
+        )
+    best = next(each for each in found if each.controller == chosen.controller)
+    sequence = sequence.with_next(
+        controller=chosen.controller,
+        forecast=to_json(best),
+        override=override if chosen.amplitude == 0.0 else None,
+    )
+    write_scenario(designed_on(sequence), sequence.folder / f"shake_{number + 1}" / "test.toml")
+    sequence.write()
+    return sequence, found
+
+
+def designed_on(sequence: Sequence) -> Scenario:
+    """Return the scenario that the next shake's controller is designed on and its log must be of.
+
+    The model at the belief's mean, with the motion at the shake's amplitude.
+    """
+    model = sequence.posterior.nominal
+    motion = sequence.scenario.motion
+    assert not isinstance(motion, MotionSet)  # `plan` refuses it
+    return replace(model, motion=replace(motion, amplitude=sequence.next.amplitude * motion.amplitude))
+
+
+def close_shake(
+    sequence: Sequence,
+    log: TestLog,
+    *,
+    without: Items[str] = (),
+    band: tuple[float, float] | None = None,
+    discrepancy: bool = True,
+    on_progress: Progress = silent,
+) -> tuple[Sequence, Identified]:
+    """Hold the next shake's forecast against its log, update the belief, and write both.
+
+    Parameters
+    ----------
+    sequence
+        Whose next shake has been forecast.
+    log
+        Of that shake.
+    without, band, discrepancy, on_progress
+        See `identify`.
+
+    Raises
+    ------
+    ParameterError
+        If the shake has not been forecast.
+    LogError
+        If the log is of another table, rate or motion, or was read already.
+    """
+    shake, number = sequence.next, sequence.number
+    if shake.forecast is None:
+        raise ParameterError(
+            f"shake {number + 1}", None, "has no forecast yet: give shake sequence next first"
+        )
+    if any(each.log is not None and each.log[1] == log.sha256 for each in sequence.shakes):
+        raise LogError(log.name, log.sha256[:12], "closed an earlier shake already")
+    model = designed_on(sequence)
+    if log.scenario_text is not None:
+        estimated = ("actuator", "nonlinearity", "delay", "specimen")
+        require_same_test(log.scenario, model, log.name, but=estimated)
+    require_motion(log, model)
+    measured = figures(log)
+    intervals = shake.forecast["intervals"]
+    inside = {
+        name: bool(intervals[name][0] <= value <= intervals[name][2])
+        for name, value in measured.items()
+        if name in intervals
+    }
+    belief = sequence.posterior
+    result = identify(
+        [log],
+        belief.nominal,
+        prior=belief.prior(),
+        without=without,
+        band=band,
+        discrepancy=discrepancy,
+        samples=max(2, 4 * sequence.samples),
+        seed=sequence.seed + number + 1,
+        on_progress=on_progress,
+    )
+    posterior = replace(result.posterior, logs=(*belief.logs, (log.name, log.sha256)))
+    write_log(log, sequence.folder / f"shake_{number + 1}" / "log.h5")
+    posterior.write(sequence.posterior_file(number + 1))
+    sequence = sequence.with_next(log=(log.name, log.sha256), measured=measured, inside=inside)
+    sequence.write()
+    return sequence, result
+
+
+def figures(log: TestLog) -> dict[str, float]:
+    """Return rms and peak of each measured channel, SI, as forecasts call them."""
+    found = {}
+    for name in log.measured:
+        values = log.channels[name]
+        found[f"{name}_rms"] = float(np.sqrt(np.mean(values**2)))
+        found[f"{name}_peak"] = float(np.max(np.abs(values)))
+    return found
+
+
+def _possible(scenario: Scenario, prior: Prior, number: int, seed: int) -> FloatArray:
+    """Return draws (number, p) of a prior that the model can be."""
+    stream = np.random.default_rng(seed)
+    points = np.zeros((0, len(prior.names)))
+    while len(points) < number:
+        draws = prior.draw(number, stream)
+        possible = [table is not None for table in plants(scenario, prior.names, draws)]
+        points = np.concatenate([points, draws[possible]])
+    return points[:number]

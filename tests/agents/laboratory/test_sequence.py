@@ -1,0 +1,125 @@
+"""A sequence: forecast, shake, update; what is unsafe or of another test is refused; it goes on."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from made_logs import noise
+from rich.console import Console
+
+from agents.cli.commands import parse
+from agents.laboratory.sequence.rehearsal import hidden_truth, rehearse, shake, summary
+from agents.laboratory.sequence.state import read_sequence
+from agents.laboratory.sequence.steps import close_shake, designed_on, next_shake, plan
+from shake_env.errors import FileError, LogError, ParameterError
+from shake_env.scenario.overrides import make_scenario
+from shake_env.scenario.scenario_file import read_scenario
+
+
+def test_bed(seconds=3.0):
+    fields = {
+        "uncertainty.mass_ratio": [0.4, 0.6],
+        "uncertainty.storey_frequency": [6.5, 7.5],
+        "uncertainty.coulomb_friction": [120.0, 180.0],
+    }
+    scenario = make_scenario("laboratory", {"fields": fields})
+    return replace(scenario, motion=noise(seconds, 0.22))
+
+
+test_bed.__test__ = False
+
+
+def begun(folder):
+    return plan(folder, test_bed(), amplitudes=(0.5, 1.0), samples=12, keep=0.2)
+
+
+def test_a_sequence_goes_from_plan_to_last_shake(tmp_path):
+    folder = tmp_path / "one"
+    begun(folder)
+    truth = hidden_truth(test_bed(), np.random.default_rng(3), wider=False)
+    widths = [read_sequence(folder).posterior.points.std(axis=0)]
+    for number in (1, 2):
+        sequence, forecasts = next_shake(read_sequence(folder))
+        assert [each.controller for each in forecasts] == ["lqg"]
+        assert (folder / f"shake_{number}" / "forecast.html").exists()
+        design = designed_on(sequence)
+        assert read_scenario(folder / f"shake_{number}" / "test.toml").specimen == design.specimen
+        log, outcomes = shake(design, truth, "lqg", number)
+        assert not outcomes.broken.any()
+        sequence, _ = close_shake(read_sequence(folder), log)
+        widths.append(sequence.posterior.points.std(axis=0))
+        with pytest.raises((LogError, ParameterError)):
+            close_shake(read_sequence(folder), log)
+    names = sequence.posterior.names
+    for before, after in pairwise(widths):
+        at = names.index("coulomb_friction")
+        assert after[at] < before[at]
+    assert sequence.number == 2
+    assert len(sequence.posterior.logs) == 2
+    assert 0.4 < sequence.calibration <= 1.0
+    with pytest.raises(ParameterError, match="all 2 shakes are done"):
+        next_shake(read_sequence(folder))
+
+
+def test_an_unsafe_shake_is_refused_unless_overridden(tmp_path):
+    scenario = test_bed()
+    scenario = replace(scenario, limits=replace(scenario.limits, table_displacement=0.003))
+    plan(tmp_path / "one", scenario, amplitudes=(1.0,), samples=8)
+    with pytest.raises(ParameterError, match=r"is unsafe: no controller keeps every limit.*--override"):
+        next_shake(read_sequence(tmp_path / "one"))
+    assert read_sequence(tmp_path / "one").next.forecast is None
+    next_shake(read_sequence(tmp_path / "one"), override="a test of the limits")
+    assert read_sequence(tmp_path / "one").next.override == "a test of the limits"
+
+
+def test_what_is_out_of_order_is_refused(tmp_path):
+    sequence = begun(tmp_path / "one")
+    truth = hidden_truth(test_bed(), np.random.default_rng(1), wider=False)
+    log, _ = shake(designed_on(sequence), truth, "lqg", 1)
+    with pytest.raises(ParameterError, match="has no forecast yet"):
+        close_shake(sequence, log)
+    with pytest.raises(ParameterError, match="holds a sequence already"):
+        begun(tmp_path / "one")
+    with pytest.raises(ParameterError, match="must rise"):
+        plan(tmp_path / "two", test_bed(), amplitudes=(0.5, 0.5))
+    with pytest.raises(FileError, match="begin with shake sequence plan"):
+        read_sequence(tmp_path / "none")
+    (tmp_path / "one" / "sequence.json").write_text("{}")
+    with pytest.raises(FileError, match="damaged"):
+        read_sequence(tmp_path / "one")
+
+
+def test_a_hidden_truth_lies_outside_of_the_model():
+    scenario = test_bed()
+    stream = np.random.default_rng(0)
+    truth = hidden_truth(scenario, stream)
+    assert truth.specimen.coupled  # Rayleigh damping
+    assert len(set(truth.specimen.stiffnesses)) == 2
+    friction = truth.nonlinearity.friction
+    assert friction.static > friction.coulomb
+    assert truth.nonlinearity.valve.natural_frequency is not None
+    assert truth.nonlinearity.valve.supply_pressure < scenario.nonlinearity.valve.supply_pressure
+    assert truth.observation.names == scenario.observation.names
+
+
+@pytest.mark.slow
+def test_a_rehearsal_on_the_fitted_model_is_calibrated():
+    found = rehearse(test_bed(8.0), truths=3, amplitudes=(0.25, 1.0), samples=60, wider=False, seed=1)
+    result = summary(found)
+    assert result["failed"] == []
+    assert result["limits_broken"] == 0
+    assert result["coverage"] > 0.75
+    assert result["error_over_informed"][1] < 1.3
+
+
+def test_the_command_plans_and_says_where_it_stands(tmp_path):
+    folder = tmp_path / "one"
+    line = f"sequence plan --scenario unknown-specimen --folder {folder} --samples 4 --quiet"
+    state = parse(line.split()).run(Console(quiet=True))
+    assert state["done"] == 0
+    assert [each["amplitude"] for each in state["shakes"]] == [0.1, 0.25, 0.5, 0.75, 1.0]
+    state = parse(f"sequence status --folder {folder}".split()).run(Console(quiet=True))
+    assert state["calibration"] is None
+    with pytest.raises(ParameterError, match="log"):
+        parse(f"sequence close --folder {folder}".split()).run(Console(quiet=True))

@@ -1,0 +1,118 @@
+"""On-policy distillation: labels of a teacher, fitted where the student drives."""
+
+import numpy as np
+import pytest
+
+from agents.learning.distillation import Distillation
+from agents.learning.networks import DirectPolicy, GRUPolicy
+from agents.learning.vec_env import ShakeTableVecEnv
+from agents.policies.base_law import base_law
+from agents.policies.policy_file import load_policy
+from agents.scenario_options import ScenarioOptions
+from agents.training.algorithm_options import DaggerOptions
+from agents.training.config import TrainConfig
+from agents.training.run import train
+from baselines.registry import make_baseline
+from shake_env import make_scenario
+from shake_env.errors import ParameterError
+from shake_env.rollout import noise_earthquakes, rollout
+
+
+def model_of(kind, teacher="lqg-dac", duration=1.0, **options):
+    scenario = make_scenario("laboratory", {"duration": duration})
+    env = ShakeTableVecEnv(scenario, 3, base=base_law("lqg", scenario), authority=0.2)
+    env.seed(0)
+    given = {"seed": 0, "device": "cpu", "sequence_length": 40, "batch_size": 120, **options}
+    return Distillation(kind, env, make_baseline(teacher, scenario), **given)
+
+
+@pytest.mark.parametrize("kind", [DirectPolicy, GRUPolicy])
+def test_labels_are_what_the_teacher_would_add_to_the_base_controller(kind):
+    model = model_of(kind)
+    labels = model.collect(by_teacher=True)
+    assert labels.correction.shape == (200, 3) and labels.begun[0].all()
+    assert len(labels.memory) == 200 // 40
+    # Driven by its own labels the tables go where the teacher drives them.
+    own = ShakeTableVecEnv(model.env.scenario, 3)
+    own.seed(0)
+    shown, state, begun = own.reset(), None, np.ones(3, dtype=bool)
+    for t in range(200):
+        np.testing.assert_allclose(labels.shown[t, :, : shown.shape[1]], shown, atol=2e-5)
+        action, state = model.teacher.predict(shown, state, begun)
+        shown, _, begun, _ = own.step(action)
+
+
+@pytest.mark.parametrize("kind", [DirectPolicy, GRUPolicy])
+def test_a_student_comes_near_its_teacher_where_it_drives_itself(kind):
+    model = model_of(kind, learning_rate=2e-3, n_epochs=4)
+    model.learn(3 * 200 * 3)
+    first, last = model.rounds[0], model.rounds[-1]
+    assert len(model.rounds) == 3
+    mean = [0.0]
+    memory, errors = model._rest(), []
+    torch = pytest.importorskip("torch")
+    with torch.no_grad():
+        for t in range(200):
+            mean, memory = model._mean(
+                torch.from_numpy(last.shown[t]), memory, torch.from_numpy(last.begun[t])
+            )
+            errors.append(mean.numpy() - last.correction[t])
+    assert np.std(errors) < 0.5 * np.std(last.correction)
+    assert not np.array_equal(first.shown[50], last.shown[50])
+
+
+def test_old_rounds_are_dropped():
+    model = model_of(DirectPolicy, buffer_size=1000, duration=0.2)
+    model.learn(120 * 12)
+    assert 1000 <= sum(each.samples for each in model.rounds) < 1000 + 2 * 120
+
+
+def test_a_teacher_knows_what_its_table_was_given():
+    """Without last action in the observation, a plan's memory is told the student's command."""
+    scenario = make_scenario("yielding", {"duration": 0.1})
+    env = ShakeTableVecEnv(scenario, 2, authority=0.1)
+    env.seed(0)
+    assert not scenario.sensing.last_action
+    told = []
+
+    class Recorder:
+        inner = make_baseline("nmpc", scenario)
+
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            if state is not None:
+                told.append(state[0].current / scenario.current_limit)
+            return self.inner.predict(observation, state, episode_start)
+
+    model = Distillation(DirectPolicy, env, Recorder(), seed=0, sequence_length=10, device="cpu")
+    torch = pytest.importorskip("torch")
+    model.policy.action_net.bias.data.fill_(0.5)
+    with torch.no_grad():
+        model.policy.action_net.weight.zero_()
+    model.collect(by_teacher=False)
+    np.testing.assert_allclose(told, 0.05, rtol=1e-6)
+
+
+def test_it_needs_tables():
+    with pytest.raises(ParameterError, match="must be a ShakeTableVecEnv"):
+        Distillation(DirectPolicy, "Pendulum-v1", None)
+
+
+CONFIG = TrainConfig(
+    algorithm="dagger",
+    scenario=ScenarioOptions("laboratory"),
+    dagger=DaggerOptions(teacher="lqg-dac", base_controller="lqg", n_envs=4, batch_size=400),
+    episode_duration=0.5,
+    total_timesteps=1200,
+    evaluations=2,
+    evaluation_earthquakes=2,
+    net_arch=(16,),
+)
+
+
+def test_a_run_writes_a_policy_that_drives_tables(tmp_path):
+    train(CONFIG, tmp_path / "run")
+    policy = load_policy(tmp_path / "run" / "policy.safetensors")
+    assert policy.card["config"]["algorithm"] == "dagger"
+    scenario = CONFIG.scenario.build()
+    rows, _ = rollout(policy, scenario, noise_earthquakes(scenario, 2, 0))
+    assert all(np.isfinite(row.cost) for row in rows)
