@@ -60,7 +60,7 @@ def plant_program(
         period=scenario.control_period,
         accepts_any_input=False,
         provenance={key: plain(text) for key, text in provenance.items()},
-        valve=valve_numbers(scenario),
+        valve=valve_numbers(scenario.parts.valve),
         precision=precision,
         rounds_inputs=False,
     )
@@ -118,7 +118,7 @@ def _table(
             "spool_limit": valve.spool_limit if math.isfinite(valve.spool_limit) else None,
             "rate_limit": valve.spool_rate_limit if math.isfinite(valve.spool_rate_limit) else None,
             "second_order": valve.natural_frequency is not None,
-            "rate_on_spool": dynamics.spool_rate[0], "rate_on_current": dynamics.spool_rate[1],
+            "rate_on_spool": dynamics.valve[0], "rate_on_current": dynamics.valve[1],
         }  # fmt: skip
         kind, summary = "nonlinear_table", "table and specimen with nonlinear parts, in physics steps"
     return Block(
