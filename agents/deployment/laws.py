@@ -167,11 +167,10 @@ def _(controller: InverseFeedForward, scenario: Scenario) -> Block:
     law = controller.law
     arrays |= {"taps": law.taps, "feedback": law.feedback}
     numbers |= {
-        "past": controller._past, "preview": law.preview, "samples": law.samples,
-        "limit": controller._limit,
+        "past": controller._past, "preview": law.preview, "limit": controller._limit,
+        "samples": law.samples, "half_sample": 0.5 * controller._sample,
         "first_preview": scenario.observation.preview.start,
         "preview_scale": controller._preview_scale, "acceleration_tap": law.acceleration_tap,
-        "half_sample": 0.5 * controller._sample,
     }  # fmt: skip
     return Block("inverse_model", "inverse-model feed-forward", arrays, numbers=numbers)
 

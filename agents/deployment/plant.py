@@ -60,7 +60,7 @@ def plant_program(
         period=scenario.control_period,
         accepts_any_input=False,
         provenance={key: plain(text) for key, text in provenance.items()},
-        valve=valve_numbers(scenario),
+        valve=valve_numbers(scenario.parts.valve),
         precision=precision,
         rounds_inputs=False,
     )
@@ -83,8 +83,9 @@ def _sensors(scenario: Scenario) -> tuple[dict[str, Any], dict[str, Any], dict[s
     if layout.reading_names:
         order = [channel.name for channel in output_channels(scenario)]
         arrays["resolution"] = measurement.resolution
-        integers["signals"] = [order.index(name) for name in layout.reading_names]
-        integers["places"] = measurement.places.tolist()
+        placed = zip(layout.reading_names, measurement.places.tolist(), strict=True)
+        integers["places"] = [place if place >= 0 else order.index(name) for name, place in placed]
+        integers["from_state"] = (measurement.places >= 0).astype(int).tolist()
         integers["rounds"] = measurement.rounded.astype(int).tolist()
     return arrays, integers, {"s": len(layout.reading_names)}
 

@@ -22,12 +22,12 @@ static void {{ b.name }}_step({{ b.type }} *s, const real *y, real *action)
 
         for (int i = 0; i < {{ b.preview }}; i++) { /* velocities to come, by trapezoids */
             for (int j = 0; j < {{ b.samples }}; j++) {
-                const real coming = y[{{ b.first_preview }} + {{ b.samples }} * i + j] * {{ b.preview_scale|real }};
+                const real coming = y[{{ b.first_preview }} + i * {{ b.samples }} + j] * {{ b.preview_scale|real }};
 
-                velocity += {{ b.half_sample|real }} * (coming + before);
+                velocity += coming + before;
                 before = coming;
             }
-            current += {{ b.name }}_taps[{{ b.past + 1 }} + i] * (signals[6] + velocity);
+            current += {{ b.name }}_taps[{{ b.past + 1 }} + i] * (signals[6] + {{ b.half_sample|real }} * velocity);
         }
     }
 {% endif %}

@@ -22,7 +22,7 @@
     int equal[{{ b.s }}]; /* readings in a row that were equal */
     int faulty[{{ b.s }}]; /* readings of that period that were left out */
 {% if b.s > 4 %}
-    real filtered; /* what the accelerometer's low-pass gave [m/s^2] */
+    real filtered; /* the accelerometer's last reading [m/s^2] */
 {% endif %}
     real misfit[4]; /* recent innovations that noise does not explain [SI] */
     real held[{{ b.n }}]; /* last finite value of each entry of the observation */
