@@ -14,6 +14,7 @@ from agents.scenario_options import ScenarioOptions
 from agents.seeds import MOST_RUNS
 from agents.training.algorithm_options import (
     APGOptions,
+    DaggerOptions,
     PPOOptions,
     RecurrentPPOOptions,
     SACOptions,
@@ -109,6 +110,12 @@ EVALUATION_TASKS: tuple[EvaluationTask, ...] = (
             "preview-lqr", "h-infinity", "lqg-searched", "lqg-searched-force", "nmpc", "planned", "none",
         ),
     ),
+    EvaluationTask(
+        name="field",
+        options=ScenarioOptions("field"),
+        baselines=("lqg", "lqg-dac", "lqg-searched", "nmpc", "nmpc-adaptive", "none"),
+        fidelity=False,
+    ),
 )
 # fmt: on
 
@@ -193,6 +200,45 @@ def _paired(evaluation_task: str, minutes: float, usual: dict[str, Any]) -> Expe
     )
     why = f"paired roll-outs without a critic; {_EXPLORES_LITTLE}"
     return _experiment(evaluation_task, config, minutes, why, otherwise=_HALF)
+
+
+def _paired_with_memory(evaluation_task: str) -> ExperimentConfig:
+    """Return the experiment of PPO with a memory for the same correction of an uncertain table."""
+    options = RecurrentPPOOptions(
+        base_controller="lqg-searched", residual_scale=_SMALL, paired=True, n_envs=128, n_steps=256,
+        batch_size=8192, n_epochs=4, gae_lambda=0.99,
+    )  # fmt: skip
+    config = TrainConfig(
+        algorithm="recurrent-ppo",
+        recurrent_ppo=options,
+        discount_horizon=2.0,
+        total_timesteps=1_507_328,
+        **_STROKE,
+    )
+    why = "an LSTM, where a memory is worth most; paired roll-outs without a critic"
+    return _experiment(evaluation_task, config, 6.0, why, otherwise=_HALF)
+
+
+def _gradients_with_memory(evaluation_task: str, minutes: float) -> ExperimentConfig:
+    """Return the experiment of the analytic gradient with a memory, over drawn plants."""
+    options = _correction(memory=64, authority=0.1)
+    config = TrainConfig(algorithm="apg", apg=options, total_timesteps=6_144_000, **_STROKE)
+    why = "a memory: what a table is like lies in how it answered, not in what it shows now"
+    return _experiment(evaluation_task, config, minutes, why, otherwise=_SOFT)
+
+
+def _distilled(evaluation_task: str, minutes: float, memory: int = 0) -> ExperimentConfig:
+    """Return the experiment of a policy that learns from the nonlinear plan what it does."""
+    config = TrainConfig(
+        algorithm="dagger",
+        dagger=DaggerOptions(gru_hidden_size=memory),
+        episode_duration=15.0,
+        evaluation_earthquakes=64,
+        evaluations=10,
+        total_timesteps=960_000,
+    )
+    why = "what the plan does, at a twentieth of its time; a start for the analytic gradient"
+    return _experiment(evaluation_task, config, minutes, why, otherwise=_EARLY)
 
 
 def _gradients_from_nothing(evaluation_task: str, learning_rate: float) -> ExperimentConfig:
@@ -284,42 +330,13 @@ EXPERIMENTS: tuple[ExperimentConfig, ...] = (
         otherwise=("objective.force_weight=30", *_SOFT),
     ),
     _paired("laboratory", 1.5, _WHOLE),
-    _experiment(
-        "unknown-specimen",
-        TrainConfig(
-            algorithm="apg",
-            apg=_correction(memory=64, authority=0.1),
-            total_timesteps=6_144_000,
-            **_STROKE,
-        ),
-        7.0,
-        "a memory: what a specimen weighs lies in how the table answered, not in what it shows now",
-        otherwise=_SOFT,
-    ),
+    _distilled("laboratory", 9.0),
+    _gradients_with_memory("unknown-specimen", 7.0),
     _paired("unknown-specimen", 3.0, _STROKE),
-    _experiment(
-        "unknown-specimen",
-        TrainConfig(
-            algorithm="recurrent-ppo",
-            recurrent_ppo=RecurrentPPOOptions(
-                base_controller="lqg-searched",
-                residual_scale=_SMALL,
-                paired=True,
-                n_envs=128,
-                n_steps=256,
-                batch_size=8192,
-                n_epochs=4,
-                learning_rate=3e-4,
-                gae_lambda=0.99,
-            ),
-            discount_horizon=2.0,
-            total_timesteps=1_507_328,
-            **_STROKE,
-        ),
-        6.0,
-        "an LSTM, on the scenario where a memory is worth most; paired roll-outs without a critic",
-        otherwise=_HALF,
-    ),
+    _paired_with_memory("unknown-specimen"),
+    _gradients_with_memory("field", 9.0),
+    _paired_with_memory("field"),
+    _distilled("field", 15.0, memory=64),
     _experiment(
         "yielding",
         TrainConfig(
@@ -330,6 +347,7 @@ EXPERIMENTS: tuple[ExperimentConfig, ...] = (
         otherwise=_EARLY,
     ),
     _paired("yielding", 2.0, _WHOLE),
+    _distilled("yielding", 9.0),
     # The realistic scenario that shows the whole state. From nothing, a critic cannot tell good currents
     # from bad before the tables are lost.
     *(

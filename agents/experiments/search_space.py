@@ -125,6 +125,12 @@ _SPACES: dict[str, tuple[Knob, ...]] = {
         _RESIDUAL,
         Choice(name="gru_hidden_size", meaning="width of the memory [-]", values=(32, 64, 96)),
     ),
+    "dagger": (
+        _RATE,
+        Range(name="n_epochs", meaning="passes over the labels [-]", low=2, high=16, whole=True),
+        replace(_RESIDUAL, low=0.01),
+        Choice(name="gru_hidden_size", meaning="width of the memory [-]", values=(32, 64, 96)),
+    ),
     "ppo": _PROXIMAL,
     "recurrent-ppo": _PROXIMAL,
     "sac": _SOFT,
