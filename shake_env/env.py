@@ -112,8 +112,8 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ## Arguments
 
     ``scenario``: ``"linear"`` (default), ``"as-printed"``, ``"laboratory"``, ``"unknown-specimen"``,
-    ``"yielding"``, ``"records"``, or a ``Scenario``. Any of its parts can be changed by a keyword:
-    ``stories``, ``mass_ratio``, ``storey_frequency``, ``damping_ratio``,
+    ``"yielding"``, ``"field"``, ``"records"``, or a ``Scenario``. Any of its parts can be changed by a
+    keyword: ``stories``, ``mass_ratio``, ``storey_frequency``, ``damping_ratio``,
     ``specimen``, ``equations``, ``physics_step``, ``control_rate``, ``acceleration_weight``,
     ``force_weight``, ``current_weight``, ``objective``, ``motion``, ``record``, ``amplitude``,
     ``duration``, ``time_compression``, ``highpass_frequency``, ``current_limit``, ``limits``,

@@ -54,6 +54,9 @@ COMMANDS = {
     "sequence": Command(
         "agents.cli.laboratory.sequence", "SequenceCommand", "Shakes of rising amplitude, plan to close."
     ),
+    "calibrate": Command(
+        "agents.cli.laboratory.calibrate", "Calibrate", "Test the identification on its own prior."
+    ),
     "play": Command("agents.cli.play", "Play", "A controller at work, in a window or as a film."),
     "motion": Command(
         "agents.cli.motion", "Motion", "A recorded motion, and the scale that the table needs."

@@ -15,6 +15,7 @@ from rich.console import Console
 from agents.cli.command_options import FolderOptions, tuned_values
 from agents.cli.output_path import output_folder
 from agents.motions.channels import MotionOptions, motion_earthquakes
+from agents.motions.motion_set import read_motion_set
 from agents.plain_values import plain
 from agents.progress import progress_by_name
 from agents.scenario_options import ScenarioOptions
@@ -57,6 +58,9 @@ class Compare(FolderOptions):
     """First seed of the filtered noise."""
     motion: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
     """File of recorded motion, each channel an earthquake; may be given again for further files."""
+    motion_set: Path | None = None
+    """Folder of a named test set of one's own records, described in its motions.toml with source,
+    licence, SHA-256 and event of each file; costs are given by event as well."""
     scale: bool = True
     """Whether their amplitude is brought within the table, as `shake motion` reports it."""
     motion_options: Annotated[MotionOptions, tyro.conf.arg(name="motion")] = field(
@@ -104,6 +108,13 @@ class Compare(FolderOptions):
         motions = motion_earthquakes(
             self.motion, self.motion_options, scenario, scale=self.scale, console=console
         )
+        events: list[str] = []
+        if self.motion_set is not None:
+            if motions:
+                raise ParameterError("motion", [*map(str, self.motion)], "is no part of --motion-set")
+            motions, events = read_motion_set(self.motion_set).earthquakes(
+                self.motion_options, scenario, scale=self.scale, console=console
+            )
         for quake in recorded_earthquakes(scenario) if self.records else ():
             if quake.motion.amplitude != 1.0:  # scaled to the table, or by the scenario
                 console.print(f"record {quake.name}: amplitude x {quake.motion.amplitude:.4g}")
@@ -115,6 +126,7 @@ class Compare(FolderOptions):
                 records=self.records,
                 seed=self.seed,
                 motions=motions,
+                events=events,
                 supervised=self.safety_supervisor,
                 tuned=tuned_values(self.tuned),
                 bound=self.bound,

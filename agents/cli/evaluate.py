@@ -11,6 +11,8 @@ from rich.console import Console
 
 from agents.cli.command_options import CommandOptions, print_notes, tuned_values
 from agents.cli.output_path import output_file
+from agents.motions.channels import MotionOptions
+from agents.motions.motion_set import read_motion_set
 from agents.plain_values import plain
 from agents.progress import progress_by_name
 from agents.reporting.terminal import print_markdown
@@ -38,6 +40,12 @@ class Evaluate(CommandOptions):
     its six."""
     tuned: Path | None = None
     """File of tuned values that shake tune --output wrote, for a scenario that nothing was tuned on."""
+    motion_set: Path | None = None
+    """Folder of a named test set of one's own records, described in its motions.toml, in place of the
+    test earthquakes; costs are given by event as well."""
+    motion_options: Annotated[MotionOptions, tyro.conf.arg(name="motion")] = field(
+        default_factory=MotionOptions
+    )
     fidelity: bool = True
     """Whether response spectrum, drift and energy are compared, too."""
     output: Path | None = None
@@ -53,6 +61,12 @@ class Evaluate(CommandOptions):
 
         require_names(self.entries)
         scenario = self.scenario.build()
+        chosen = None if self.motion_set is None else read_motion_set(self.motion_set)
+        motions, events = (
+            ([], [])
+            if chosen is None
+            else chosen.earthquakes(self.motion_options, scenario, scale=True, console=console)
+        )
         tuned = tuned_values(self.tuned)
         file = None
         if self.output is not None or not self.json:
@@ -64,8 +78,12 @@ class Evaluate(CommandOptions):
                 earthquakes=self.earthquakes,
                 repeats=self.fidelity,
                 tuned=tuned,
+                motions=motions,
+                events=events,
                 on_progress=on_progress,
             )
+        if chosen is not None:
+            result["motion_set"] = chosen.to_json()
         result["scenario_options"] = given_options(plain(self.scenario.__dict__))
         print_markdown(console, markdown(result))
         print_notes(result, console)

@@ -13,6 +13,7 @@ from agents.policies.policy_file import digest
 from agents.policies.registry import find_controller, get_controller, policy_path, values_for
 from agents.provenance import code_version
 from shake_env.controller import Controller
+from shake_env.model.nonlinearity import ServoValve
 from shake_env.safety.supervisor import Supervised
 from shake_env.scenario.digest import known_name, scenario_digest
 from shake_env.scenario.scenario import Scenario
@@ -85,17 +86,22 @@ def as_program(
         period=scenario.control_period,
         accepts_any_input=isinstance(controller, Supervised),
         provenance={key: plain(text) for key, text in provenance.items()},
-        valve=valve_numbers(scenario),
+        valve=valve_numbers(scenario.nonlinearity.valve),
         precision=precision,
     )
 
 
-def valve_numbers(scenario: Scenario) -> dict[str, Any]:
-    """Return what the opening of a scenario's servovalve depends on; None where nothing limits it."""
-    valve = scenario.nonlinearity.valve
+def valve_numbers(valve: ServoValve) -> dict[str, Any]:
+    """Return what the opening of a servovalve depends on; None where nothing limits it."""
     limits = {name: getattr(valve, name) for name in ("spool_limit", "supply_pressure")}
     found = {name: value if math.isfinite(value) else None for name, value in limits.items()}
-    return {**found, "dead_band": valve.dead_band}
+    return {
+        **found,
+        "dead_band": valve.dead_band,
+        "missing": valve.missing,
+        "rated": valve.rated,
+        "supply_sag": valve.supply_sag,
+    }
 
 
 def plain(text: str) -> str:

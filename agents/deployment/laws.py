@@ -168,9 +168,9 @@ def _(controller: InverseFeedForward, scenario: Scenario) -> Block:
     arrays |= {"taps": law.taps, "feedback": law.feedback}
     numbers |= {
         "past": controller._past, "preview": law.preview, "limit": controller._limit,
+        "samples": law.samples, "half_sample": 0.5 * controller._sample,
         "first_preview": scenario.observation.preview.start,
         "preview_scale": controller._preview_scale, "acceleration_tap": law.acceleration_tap,
-        "half_period": 0.5 * controller._period,
     }  # fmt: skip
     return Block("inverse_model", "inverse-model feed-forward", arrays, numbers=numbers)
 

@@ -60,7 +60,7 @@ def plant_program(
         period=scenario.control_period,
         accepts_any_input=False,
         provenance={key: plain(text) for key, text in provenance.items()},
-        valve=valve_numbers(scenario),
+        valve=valve_numbers(scenario.parts.valve),
         precision=precision,
         rounds_inputs=False,
     )
@@ -82,8 +82,10 @@ def _sensors(scenario: Scenario) -> tuple[dict[str, Any], dict[str, Any], dict[s
     integers: dict[str, Any] = {}
     if layout.reading_names:
         order = [channel.name for channel in output_channels(scenario)]
-        arrays |= {"follow": measurement.follow, "resolution": measurement.resolution}
-        integers["signals"] = [order.index(name) for name in layout.reading_names]
+        arrays["resolution"] = measurement.resolution
+        placed = zip(layout.reading_names, measurement.places.tolist(), strict=True)
+        integers["places"] = [place if place >= 0 else order.index(name) for name, place in placed]
+        integers["from_state"] = (measurement.places >= 0).astype(int).tolist()
         integers["rounds"] = measurement.rounded.astype(int).tolist()
     return arrays, integers, {"s": len(layout.reading_names)}
 
@@ -116,7 +118,7 @@ def _table(
             "spool_limit": valve.spool_limit if math.isfinite(valve.spool_limit) else None,
             "rate_limit": valve.spool_rate_limit if math.isfinite(valve.spool_rate_limit) else None,
             "second_order": valve.natural_frequency is not None,
-            "rate_on_spool": dynamics.spool_rate[0], "rate_on_current": dynamics.spool_rate[1],
+            "rate_on_spool": dynamics.valve[0], "rate_on_current": dynamics.valve[1],
         }  # fmt: skip
         kind, summary = "nonlinear_table", "table and specimen with nonlinear parts, in physics steps"
     return Block(

@@ -54,7 +54,7 @@ def supervisor_block(supervised: Supervised, inner: Block) -> Block:
         "c": len(prediction.feedback) - ACTUATOR,
         "columns": columns,
         "rows_count": rows,
-        "follow": channels.follow,
+        "lead": channels.lead,
         "rare": -math.log10(CHANCE),
         "gate": GATE,
         "fading": FADING,

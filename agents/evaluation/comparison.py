@@ -48,6 +48,7 @@ def compare(
     records: bool = True,
     seed: int = COMPARISON_SEED,
     motions: Sequence[Earthquake] = (),
+    events: Sequence[str] = (),
     supervised: bool = False,
     tuned: TunedValues | None = None,
     bound: bool = False,
@@ -70,6 +71,8 @@ def compare(
         First seed of the noise; far from those of training and its evaluation.
     motions
         Further earthquakes, a group of their own; the first of them is traced.
+    events
+        Event of each motion; none: they have no events.
     supervised
         Whether a `Supervised` keeps every controller within the hard limits.
     tuned
@@ -165,7 +168,7 @@ def compare(
     return Comparison(
         summaries, episodes, fidelities, traces, reference, name, chosen.skipped, shares, of_each,
         chosen.values, [*chosen.warnings, *repeats(earthquakes)], tracking, bounds,
-        scenario_information(scenario), scenario.input_unit,
+        scenario_information(scenario), scenario.input_unit, tuple(events),
     )  # fmt: skip
 
 

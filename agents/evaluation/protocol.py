@@ -152,6 +152,8 @@ def evaluate(
     resamples: int = 2000,
     known: dict[str, Any] | None = None,
     tuned: TunedValues | None = None,
+    motions: Sequence[Earthquake] = (),
+    events: Sequence[str] = (),
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
 ) -> dict[str, Any]:
     """Return the result of the protocol as plain JSON values.
@@ -173,6 +175,8 @@ def evaluate(
         their costs held against the reference as it is now, and so are its bounds.
     tuned
         Tuned values of a file that was named; see `baselines.registry.parameter_values`.
+    motions, events
+        Recorded motions to evaluate on in place of the scenario's own, and the event of each.
     on_progress
         Told the controller that runs, or ``bound``, and its share done, 0 to 1.
 
@@ -182,15 +186,17 @@ def evaluate(
         If fewer than two earthquakes are asked for, two rows have one name or one a controller's, or
         the costs of the uncontrolled table differ from those of the `known` result.
     """
-    if earthquakes < 2:
-        raise ParameterError("earthquakes", earthquakes, "an interval needs at least 2")
+    if earthquakes < 2 or len(motions) == 1:
+        number = 1 if motions else earthquakes
+        raise ParameterError("earthquakes", number, "an interval needs at least 2")
     code = code_version()  # that runs, not that ends
-    recorded = scenario.reserved_for_testing
-    quakes = (
-        recorded_earthquakes(scenario)
-        if recorded
-        else noise_earthquakes(scenario, earthquakes, TEST_SEED)
-    )
+    recorded = scenario.reserved_for_testing or bool(motions)
+    if motions:
+        quakes = [*motions]
+    elif recorded:
+        quakes = recorded_earthquakes(scenario)
+    else:
+        quakes = noise_earthquakes(scenario, earthquakes, TEST_SEED)
     reference, optimum = reference_name(scenario), optimal_cost(scenario)
     for each in entries:
         if each.policies and each.name in (BOUND, reference, *CLASSICAL):
@@ -267,6 +273,7 @@ def evaluate(
         "machine": machine(),
         "seed": None if recorded else TEST_SEED,
         "earthquakes": [quake.name for quake in quakes],
+        "events": list(events),
         "reference": reference,
         "normaliser": normaliser,
         "optimal_cost": optimum,

@@ -177,6 +177,7 @@ class Comparison:
     bounds: Bounds | None = None  # true bound of each earthquake, in their order; None: not asked for
     information: str = "causal"  # class of what the scenario shows
     input_unit: str = "A"  # of the table's input
+    events: tuple[str, ...] = ()  # of each motion of a named set, in their order; see `by_event`
 
     def to_json(self, settings: dict[str, Any]) -> dict[str, Any]:
         """Return everything but the traces as plain JSON values."""
@@ -205,7 +206,17 @@ class Comparison:
             "warnings": self.warnings,
             "bound": None if self.bounds is None else self.bounds.to_json(),
             "information": self.information,
+            "by_event": self.by_event(),
         }
+
+    def by_event(self) -> dict[str, dict[str, float]]:
+        """Return the cost over the reference's by event and controller; {}: there are no events."""
+        found = {}
+        for event in dict.fromkeys(self.events):
+            members = [i for i, each in enumerate(self.events) if each == event]
+            sums = {n: sum(rows[i].cost for i in members) for n, rows in self.episodes.items()}
+            found[event] = {name: cost / sums[self.reference] for name, cost in sums.items()}
+        return found
 
     def notes(self) -> list[str]:
         """Return what a reader has to know of the controllers, in sentences."""

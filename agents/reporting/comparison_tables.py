@@ -48,6 +48,14 @@ def print_tables(comparison: Comparison, console: Console) -> None:
         number = rows[0].earthquakes
         title = f"{group}, {number} earthquake{'s' if number != 1 else ''}"
         print_table(console, ["controller", "information", *headings], cells, title=title, left=(1,))
+    if comparison.events:
+        by_event = comparison.by_event()
+        cells = [
+            [_label(name), *(f"{costs[name]:.3f}" for costs in by_event.values())]
+            for name in comparison.episodes
+        ]
+        title = f"motions by event, cost / {_label(comparison.reference)}"
+        print_table(console, ["controller", *by_event], cells, title=title)
     for note in comparison_notes(comparison):
         console.print(note, highlight=False)
     console.print(

@@ -6,6 +6,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agents.reporting.bound_notes import bound_notes, causal_notes, class_note, marked
 from agents.reporting.markdown_blocks import has_place, markdown_table, put
 
@@ -52,6 +54,7 @@ def markdown(result: dict[str, Any]) -> str:
         f"{len(result['earthquakes'])} earthquakes, {seed}; version {result['version']} "
         f"({', '.join(codes)}), {'; '.join(machines)}.",
     ]
+    lines += _by_event(result)
     if "bound" in result:
         classes = [row["information"] for row in result["rows"]]
         lines += bound_notes(result["bound"], len(result["earthquakes"]))
@@ -60,6 +63,26 @@ def markdown(result: dict[str, Any]) -> str:
     elif result["optimal_cost"] is not None:
         lines.append(f"J* = {result['optimal_cost']:.6g}.")
     return "\n".join(lines) + "\n"
+
+
+def _by_event(result: dict[str, Any]) -> list[str]:
+    """Return a table of the cost over the normaliser's by event, where the motions have events."""
+    events = result.get("events", ())
+    if not events or result["normaliser"] not in ("bound", *result["episodes"]):
+        return []
+    bound = result["normaliser"] == "bound"
+    base = result["bound"]["costs"] if bound else result["episodes"][result["normaliser"]]["cost"][0]
+    places = {
+        each: [i for i, event in enumerate(events[: len(base)]) if event == each]
+        for each in dict.fromkeys(events)
+    }
+    rows = []
+    for row in ranked(result):
+        cost = np.mean(result["episodes"][row["controller"]]["cost"], axis=0)
+        ratios = (sum(cost[i] for i in m) / sum(base[i] for i in m) for m in places.values())
+        rows.append([row["controller"], *(f"{ratio:.3f}" for ratio in ratios)])
+    head = (f"cost / {result['normaliser']} by event", *(f"{e} ({len(m)})" for e, m in places.items()))
+    return ["", markdown_table(head, rows)]
 
 
 def cost_interval(found: dict[str, float]) -> str:

@@ -27,11 +27,13 @@ from shake_env.dynamics.yielding_reference import YieldingReference
 from shake_env.errors import FileError, ParameterError
 from shake_env.files import write_bytes
 from shake_env.model.parameters import FloatArray
+from shake_env.model.plant import TABLE_DISPLACEMENT
 from shake_env.rollout import Earthquake
 from shake_env.scenario.digest import scenario_digest
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty
 
+TOLERANCE = 0.01  # [m] see `plan_records`
 ARRAYS = ("current", "state", "response", "gain", "target", "shear")
 
 
@@ -86,12 +88,19 @@ def nominal(scenario: Scenario) -> Scenario:
 
 
 def plan_records(
-    scenario: Scenario, earthquakes: Sequence[Earthquake], on_step: Any = lambda share: None
+    scenario: Scenario,
+    earthquakes: Sequence[Earthquake],
+    on_step: Any = lambda share: None,
+    displacement_tolerance: float | None = TOLERANCE,
 ) -> list[RecordPlan]:
     """Plan each earthquake on the nominal table.
 
     The target is the earthquake's; what a specimen that differs from the nominal one would have done
     is not known: the reference shear is that of the nominal specimen.
+
+    The objective minds no place, and its feedback would let the table walk away from the plan. The
+    feedback therefore weighs a deviation of `displacement_tolerance` [m] as an uncontrolled table; None:
+    not at all. The plan itself does not depend on it.
     """
     own = nominal(scenario)
     found = []
@@ -110,12 +119,30 @@ def plan_records(
                 optimum.current,
                 optimum.state,
                 optimum.response,
-                optimum.gain,
+                _feedback(optimum, displacement_tolerance),
                 episode.target,
                 episode.shear,
             )
         )
     return found
+
+
+def _feedback(optimum: OptimalEpisode, tolerance: float | None) -> FloatArray:
+    """Return the feedback (T, n) along a plan that also holds its displacement."""
+    if tolerance is None:
+        return optimum.gain
+    episode = optimum.episode
+    plan = episode.model.improve(
+        optimum.current[None],
+        optimum.state[None, 0],
+        episode.target[None],
+        episode.shear[None],
+        place=optimum.state[None, 1:, TABLE_DISPLACEMENT],
+        place_weight=1.0 / tolerance**2,
+        iterations=1,
+    )
+    gain: FloatArray = plan.gain[0]
+    return gain
 
 
 def nominal_reference(scenario: Scenario, target: FloatArray) -> FloatArray:

@@ -73,8 +73,8 @@ def make_scenario(
     ----------
     scenario
         A name (``"linear"``, ``"as-printed"``, ``"laboratory"``, ``"unknown-specimen"``,
-        ``"yielding"``, ``"records"``), the path of a scenario file (it ends in ``.toml`` or ``.json``,
-        or is an ``os.PathLike``; see `read_scenario`), or a scenario.
+        ``"yielding"``, ``"field"``, ``"records"``), the path of a scenario file (it ends in ``.toml`` or
+        ``.json``, or is an ``os.PathLike``; see `read_scenario`), or a scenario.
     overrides
         ``table``: the name of another table (`shake_env.scenario.tables.TABLE_NAMES`), with limits,
         amplitudes and sensors that follow from it (`on_table`), before everything else;

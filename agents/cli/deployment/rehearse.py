@@ -37,6 +37,8 @@ class Rehearse(FolderOptions):
     )
     runs: Literal["c", "python"] = "c"
     """What the controller's process is."""
+    plant: Literal["c", "python"] = "python"
+    """What steps the table: the exported C program, or the simulation."""
     safety_supervisor: Flag = False
     """Put the safety supervisor around the controller, in its process."""
     seconds: float | None = None
@@ -63,6 +65,7 @@ class Rehearse(FolderOptions):
         scenario = self.scenario.build()
         plan = RehearsalPlan(
             runs=self.runs,
+            table=self.plant,
             supervised=self.safety_supervisor,
             seconds=self.seconds,
             tests=self.tests,

@@ -31,6 +31,7 @@ class RehearsalPlan:
     """
 
     runs: Runs = "c"  # what the controller's process is
+    table: Runs = "python"  # what steps the table: the simulation, or the exported program
     supervised: bool = False  # the safety supervisor around the controller, in its process
     seconds: float | None = None  # [s] of each test; None: the scenario's motion
     tests: int = 1
@@ -77,7 +78,8 @@ def rehearse(
     tests: list[Rehearsal] = []
     missed: list[dict[str, Any]] = []
     try:
-        table = TableProcess(scenario, process, hold=plan.hold, paced=plan.paced)
+        exported = plan.table == "c"
+        table = TableProcess(scenario, process, hold=plan.hold, paced=plan.paced, exported=exported)
         for number, quake in enumerate(earthquakes):
             length = periods or round(quake.motion.duration / scenario.control_period)
             readings = scenario.observation.readings_count
@@ -156,6 +158,7 @@ def _result(
     return {
         "controller": name,
         "runs": plan.runs,
+        "table": plan.table,
         "tests": len(tests),
         "periods": sum(len(test.rows) for test in tests),
         "hard_limits_broken": sum(test.broken_limit is not None for test in tests),

@@ -21,6 +21,7 @@ from agents.deployment.channels import observation_channels
 from agents.deployment.rehearsal.clock import wait_until
 from agents.deployment.rehearsal.controller_process import LOOPBACK, ControllerProcess
 from agents.deployment.rehearsal.datagram import BEGINS, COMMAND, MEASUREMENT, REFUSED, Datagram, unpack
+from agents.deployment.rehearsal.exported_table import ExportedTable
 from agents.deployment.rehearsal.faults import (
     CONTROLLER_DIES,
     LINK_FAULTS,
@@ -107,6 +108,8 @@ class TableProcess:
         Whether periods follow the clock; else one begins when the last has ended.
     deadline
         [s] from a measurement to its command; None: half a period, or `UNPACED_DEADLINE`.
+    exported
+        Whether the exported table stands in the place of the simulated one.
     """
 
     def __init__(
@@ -117,6 +120,7 @@ class TableProcess:
         hold: int = 2,
         paced: bool = True,
         deadline: float | None = None,
+        exported: bool = False,
     ) -> None:
         self.scenario, self.controller, self.hold, self.paced = scenario, controller, hold, paced
         usual = DEADLINE * scenario.control_period if paced else UNPACED_DEADLINE
@@ -124,6 +128,7 @@ class TableProcess:
         self._channels = observation_channels(scenario)
         self._scales = np.array([channel.scale for channel in self._channels])
         self._simulation = Simulation(scenario, 1)
+        self._exported = ExportedTable(scenario, self._simulation) if exported else None
         self._tests = 0
 
     def run(
@@ -158,6 +163,8 @@ class TableProcess:
         observation = simulation.start(
             [0], [np.random.default_rng(earthquake.seed)], [earthquake.motion]
         )[0]
+        if self._exported is not None:
+            self._exported.begin()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as endpoint:
             endpoint.bind((LOOPBACK, 0))
             endpoint.setblocking(False)
@@ -179,6 +186,8 @@ class TableProcess:
 
     def step(self, current: float) -> tuple[FloatArray, list[float], str | None, bool]:
         """Step the table; return observation, signals, the limit that broke, and whether it ends."""
+        if self._exported is not None:
+            return *self._exported.step(current), False
         result = self._simulation.step(np.array([current / self.scenario.current_limit]))
         broken = REASONS[int(result.broken[0]) - 1] if result.terminated[0] else None
         signals = [float(result.report[place, 0]) for place in _PLACES]
@@ -280,7 +289,8 @@ class _Periods:
         while True:
             now = time.perf_counter()
             self._link.flush(now)
-            arrived = self._link.overdue(now)
+            # However late this loop wakes: what is due after the deadline is late.
+            arrived = self._link.overdue(min(now, until))
             while True:
                 try:
                     data = self._endpoint.recv(65536)

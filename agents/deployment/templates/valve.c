@@ -16,8 +16,9 @@ static real valve_opening(real spool, real pressure)
 {% if supply_pressure is not none %}
     {
         const real sign = (opening > {{ 0.0|real }}) ? {{ 1.0|real }} : ((opening < {{ 0.0|real }}) ? {{ -1.0|real }} : {{ 0.0|real }});
+        const real shortage = {{ missing|real }} + {{ supply_sag|real }} * absolute(opening); /* of the supply [Pa] */
 
-        opening *= real_sqrt(larger({{ 1.0|real }} - sign * pressure / {{ supply_pressure|real }}, {{ 1e-6|real }}));
+        opening *= real_sqrt(larger({{ 1.0|real }} - (sign * pressure + shortage) / {{ rated|real }}, {{ 1e-6|real }}));
     }
 {% endif %}
     return opening;

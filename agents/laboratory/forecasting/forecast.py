@@ -23,6 +23,7 @@ from shake_env.motion.targets import MotionSet
 from shake_env.rollout import Earthquake, rollout
 from shake_env.scenario.plant_samples import PlantSamples
 from shake_env.scenario.scenario import Scenario
+from shake_env.scenario.uncertainty import Uncertainty
 from shake_env.simulation.engine import BoolArray
 
 FIRST_SEED = 7_000_000  # of the samples of a forecast; a lane's seed fixes its plant and its noise
@@ -82,6 +83,13 @@ def prepared(scenario: Scenario) -> Scenario:
     return scenario
 
 
+def design_of(scenario: Scenario) -> Scenario:
+    """Return the scenario that a controller is designed on: ranges stay, samples do not."""
+    if isinstance(scenario.uncertainty, PlantSamples):
+        return replace(scenario, uncertainty=Uncertainty())
+    return scenario
+
+
 def run_batch(
     scenario: Scenario,
     name: str,
@@ -97,8 +105,10 @@ def run_batch(
     assert not isinstance(scenario.motion, MotionSet)  # `prepared` refuses it
     motion = replace(scenario.motion, amplitude=amplitude * scenario.motion.amplitude)
     quakes = [Earthquake(f"sample {seed}", motion, seed) for seed in seeds]
-    needs = find_controller(name).needs_earthquakes
-    controller = get_controller(name, scenario, quakes if needs else None)
+    if find_controller(name).needs_earthquakes:
+        controller = get_controller(name, scenario, quakes)
+    else:  # the laboratory designs it on the middle of the samples, as one plant
+        controller = get_controller(name, design_of(scenario))
     recorder = OutcomeRecorder(scenario, len(quakes))
     rollout(controller, scenario, quakes, on_step=on_step, log=recorder)
     return recorder.outcomes()

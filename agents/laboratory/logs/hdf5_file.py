@@ -1,11 +1,14 @@
 """Logs as HDF5: a group ``channels`` of datasets with units and meanings; attributes at the root.
 
+The HDF5 library can loop for ever on a damaged file. A log that this program wrote therefore begins with
+a user block that holds the digest of what follows, and nothing is handed to the library that differs.
 Of a foreign file every one-dimensional dataset of numbers is a column, titled by its path. Links to
 other files are not followed.
 """
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import io
 from typing import Any
@@ -18,6 +21,8 @@ from shake_env.errors import LogError, install_hint
 from shake_env.model.parameters import FloatArray
 
 _DEPTH, _COLUMNS = 6, 512
+MAGIC = b"shake_env log, HDF5 from byte 512 on, SHA-256 "
+_BLOCK = 512  # bytes of the user block
 
 
 def library(name: str) -> Any:
@@ -38,14 +43,15 @@ def hdf5_bytes(log: TestLog) -> bytes:
     """Return the file of a log."""
     h5py = library("h5py")
     held = io.BytesIO()
-    with h5py.File(held, "w", track_order=True) as file:
+    with h5py.File(held, "w", track_order=True, userblock_size=_BLOCK) as file:
         file.attrs.update(attributes_of(log))
         group = file.create_group("channels", track_order=True)
         for name, values in log.channels.items():
             data = group.create_dataset(name, data=values, compression="gzip", fletcher32=True)
             data.attrs["unit"] = column_unit(log, name)
             data.attrs["meaning"] = meaning_of(name)
-    return held.getvalue()
+    rest = held.getvalue()[_BLOCK:]
+    return (MAGIC + hashlib.sha256(rest).hexdigest().encode() + b"\n").ljust(_BLOCK, b"\0") + rest
 
 
 def read_hdf5(source: str, content: bytes) -> RawTable:
@@ -54,9 +60,14 @@ def read_hdf5(source: str, content: bytes) -> RawTable:
     Raises
     ------
     LogError
-        If h5py cannot read it, or it holds too much.
+        If it is not as it was written, h5py cannot read it, or it holds too much.
     """
     h5py = library("h5py")
+    if content.startswith(MAGIC):
+        stated = content[len(MAGIC) : _BLOCK].strip(b"\0\n")
+        if stated != hashlib.sha256(content[_BLOCK:]).hexdigest().encode():
+            remedy = "is not that of the rest of the file, which was damaged: take another copy"
+            raise LogError(f"{source}, SHA-256", stated.decode("latin-1")[:64], remedy)
     columns: dict[str, FloatArray] = {}
     units: dict[str, str] = {}
     try:

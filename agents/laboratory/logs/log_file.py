@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from agents.laboratory.logs.csv_file import csv_bytes, read_csv
-from agents.laboratory.logs.hdf5_file import hdf5_bytes, read_hdf5
+from agents.laboratory.logs.hdf5_file import MAGIC, hdf5_bytes, read_hdf5
 from agents.laboratory.logs.mapping import Mapped
 from agents.laboratory.logs.matlab_file import matlab_bytes, read_matlab
 from agents.laboratory.logs.raw import RawTable, assembled
@@ -72,7 +72,7 @@ def parse_log(source: str, content: bytes, mapping: Mapped | None = None) -> Tes
 def _raw(source: str, content: bytes, mapping: Mapped | None) -> RawTable:
     if content.startswith(_MATLAB):
         return read_matlab(source, content)
-    if content.startswith(_HDF5):
+    if content.startswith((_HDF5, MAGIC)):
         return read_hdf5(source, content)
     if content.startswith(_TDMS):
         return read_tdms(source, content)

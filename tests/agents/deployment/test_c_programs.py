@@ -285,7 +285,7 @@ def test_a_constant_has_exactly_its_value(value):
 # The table
 
 
-@pytest.mark.parametrize("name", ["linear", "laboratory", "yielding", "unknown-specimen"])
+@pytest.mark.parametrize("name", ["linear", "laboratory", "yielding", "unknown-specimen", "field"])
 def test_the_exported_table_moves_as_the_simulated_one(name):
     scenario = make_scenario(name)
     program, model = plant_program(scenario), TableModel.of(scenario)

@@ -199,6 +199,26 @@ def test_without_faults_the_rehearsal_is_the_simulation():
     )
 
 
+@needs_compiler
+def test_the_exported_table_takes_the_simulated_ones_place(tmp_path):
+    """Both programs in C: the same test, but for the order in which noise and rounding come."""
+    scenario, columns = make_scenario("laboratory"), []
+    for table in ("python", "c"):
+        folder = tmp_path / table
+        plan = RehearsalPlan(seconds=1.0, paced=False, table=table, hold=200)
+        found = rehearse("pid", scenario, plan, folder)
+        assert found["table"] == table and found["hard_limits_broken"] == 0
+        with (folder / "test-1.csv").open(encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        columns.append([float(row["table_velocity [m/s]"]) for row in rows])
+    simulated, exported = np.array(columns)
+    assert np.std(exported) > 0.003  # m/s, in the first second
+    assert np.max(np.abs(exported - simulated)) < 0.02 * np.max(np.abs(simulated))
+    with pytest.raises(ShakeError, match="full state"):
+        plan = RehearsalPlan(seconds=0.1, paced=False, table="c")
+        rehearse("lqr", make_scenario("linear"), plan)
+
+
 @pytest.mark.slow
 def test_python_survives_every_fault_too(tmp_path):
     plan = RehearsalPlan(runs="python", seconds=1.0, faults=FAULTS, fault_rate=0.05, paced=False)

@@ -21,11 +21,13 @@ static void {{ b.name }}_step({{ b.type }} *s, const real *y, real *action)
         real velocity = {{ 0.0|real }};
 
         for (int i = 0; i < {{ b.preview }}; i++) { /* velocities to come, by trapezoids */
-            const real coming = y[{{ b.first_preview }} + i] * {{ b.preview_scale|real }};
+            for (int j = 0; j < {{ b.samples }}; j++) {
+                const real coming = y[{{ b.first_preview }} + i * {{ b.samples }} + j] * {{ b.preview_scale|real }};
 
-            velocity += coming + before;
-            before = coming;
-            current += {{ b.name }}_taps[{{ b.past + 1 }} + i] * (signals[6] + {{ b.half_period|real }} * velocity);
+                velocity += coming + before;
+                before = coming;
+            }
+            current += {{ b.name }}_taps[{{ b.past + 1 }} + i] * (signals[6] + {{ b.half_sample|real }} * velocity);
         }
     }
 {% endif %}

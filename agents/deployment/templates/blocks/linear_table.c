@@ -1,12 +1,12 @@
 {% import "blocks/table_outputs.c" as outputs with context %}
 {% macro state(b) %}
     real state[{{ b.n }}]; /* load pressure, displacement, velocity, spool; specimen [SI] */
-{{ outputs.state(b) }}{% endmacro %}
+{% endmacro %}
 {% macro code(b) %}
 {{ outputs.code(b) }}static void {{ b.name }}_reset({{ b.type }} *s)
 {
     fill(s->state, {{ b.n }}, {{ 0.0|real }});
-{{ outputs.reset(b) }}}
+}
 
 static void {{ b.name }}_step({{ b.type }} *s, const real *action, real *y)
 {

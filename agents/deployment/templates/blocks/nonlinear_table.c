@@ -4,7 +4,7 @@
 {% if b.c %}
     real commands[{{ b.c }}]; /* under way, oldest first [A] */
 {% endif %}
-{{ outputs.state(b) }}{% endmacro %}
+{% endmacro %}
 {% macro code(b) %}
 {{ outputs.code(b) }}/* What the linear table leaves out: flow [m of spool], force [N], spool rate [m/s]{% if b.yields %}, slips [m/s]{% endif %}. */
 static void {{ b.name }}_parts(const real *x, real current, real *g)
@@ -64,7 +64,7 @@ static void {{ b.name }}_reset({{ b.type }} *s)
 {% if b.c %}
     fill(s->commands, {{ b.c }}, {{ 0.0|real }});
 {% endif %}
-{{ outputs.reset(b) }}}
+}
 
 static void {{ b.name }}_step({{ b.type }} *s, const real *action, real *y)
 {

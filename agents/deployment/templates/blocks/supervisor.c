@@ -22,7 +22,7 @@
     int equal[{{ b.s }}]; /* readings in a row that were equal */
     int faulty[{{ b.s }}]; /* readings of that period that were left out */
 {% if b.s > 4 %}
-    real filtered; /* what the accelerometer's low-pass gave [m/s^2] */
+    real filtered; /* the accelerometer's last reading [m/s^2] */
 {% endif %}
     real misfit[4]; /* recent innovations that noise does not explain [SI] */
     real held[{{ b.n }}]; /* last finite value of each entry of the observation */
@@ -110,7 +110,7 @@ static void {{ N }}_look({{ b.type }} *s, const real *readings, int *faulty, rea
 
 {% if b.s > 4 %}
         if (i == 4) { /* undo the accelerometer's low-pass */
-            value = s->filtered + (value - s->filtered) / {{ b.follow|real }};
+            value += {{ b.lead|real }} * (value - s->filtered);
         }
 {% endif %}
         value = isfinite(value) ? value : {{ 0.0|real }};

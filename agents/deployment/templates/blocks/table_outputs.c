@@ -1,17 +1,7 @@
 {# What a table gives at the end of a period; part of other blocks. #}
-{% macro state(b) %}
-{% if b.s %}
-    real filtered[{{ b.s }}]; /* outputs of the sensors' low-passes [SI] */
-{% endif %}
-{% endmacro %}
-{% macro reset(b) %}
-{% if b.s %}
-    fill(s->filtered, {{ b.s }}, {{ 0.0|real }});
-{% endif %}
-{% endmacro %}
 {% macro code(b) %}
 /* Signals of the table, then floors, then readings of the sensors without noise and offset; SI. */
-static void {{ b.name }}_give({{ b.type }} *s, real acceleration, real shear, real *y)
+static void {{ b.name }}_give(const {{ b.type }} *s, real acceleration, real shear, real *y)
 {
     y[0] = s->state[1];
     y[1] = s->state[2];
@@ -21,13 +11,12 @@ static void {{ b.name }}_give({{ b.type }} *s, real acceleration, real shear, re
     y[5] = shear;
     product({{ b.name }}_floors, {{ b.floors.shape[0] }}, {{ b.floors.shape[1] }}, &s->state[4], &y[6]);
 {% if b.s %}
-    for (int i = 0; i < {{ b.s }}; i++) {
-        const real signal = y[{{ b.name }}_signals[i]];
+    for (int i = 0; i < {{ b.s }}; i++) { /* behind its low-pass, which is a state, or the signal itself */
+        const real signal = ({{ b.name }}_from_state[i] != 0) ? s->state[{{ b.name }}_places[i]] : y[{{ b.name }}_places[i]];
 
-        s->filtered[i] += {{ b.name }}_follow[i] * (signal - s->filtered[i]);
         y[{{ 6 + b.floors.shape[0] }} + i] = ({{ b.name }}_rounds[i] != 0)
-            ? real_rint(s->filtered[i] / {{ b.name }}_resolution[i]) * {{ b.name }}_resolution[i]
-            : s->filtered[i];
+            ? real_rint(signal / {{ b.name }}_resolution[i]) * {{ b.name }}_resolution[i]
+            : signal;
     }
 {% endif %}
 }

@@ -1,0 +1,83 @@
+"""The command ``shake calibrate``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+
+from agents.cli.command_options import CommandOptions
+from agents.progress import progress_by_name
+from agents.reporting.terminal import print_table
+from agents.scenario_options import ScenarioOptions
+from shake_env.errors import ParameterError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibrate(CommandOptions):
+    """Test the identification on plants drawn from its own prior: ranks must be uniform.
+
+    Exits with 1 where the ranks of a parameter are not, at a level of 0.01.
+
+    Try:
+      shake calibrate --data-sets 10
+      shake calibrate --scenario test.toml --data-sets 300 --output out/calibration.json
+    """
+
+    scenario: str = "laboratory"
+    """Scenario, or file, whose prior plants are drawn from and whose sensors take the logs."""
+    data_sets: int = 300
+    """Number of simulated logs."""
+    seconds: float = 8.0
+    """Length of each [s]."""
+    samples: int = 200
+    """Samples of each posterior."""
+    sampler_moves: int | None = None
+    """Moves of the sampler for each log (default: the normal posterior)."""
+    output: Path | None = None
+    """JSON file for the ranks and figures."""
+    seed: int = 0
+    """Seed of everything drawn."""
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Draw, simulate, identify, test, print."""
+        from agents.laboratory.identification.calibration import calibrate
+        from shake_env.files import write_json
+
+        if self.data_sets < 2:
+            raise ParameterError("data_sets", self.data_sets, "must be at least 2")
+        with progress_by_name() as on_progress:
+            result = calibrate(
+                ScenarioOptions(self.scenario).build(),
+                data_sets=self.data_sets,
+                seconds=self.seconds,
+                samples=self.samples,
+                sampler_moves=self.sampler_moves,
+                seed=self.seed,
+                on_progress=on_progress,
+            )
+        rows = [
+            (
+                name,
+                f"{result['p_values'][name]:.3f}",
+                f"{100 * result['inside_90'][name]:.0f} %",
+                f"{100 * result['median_error'][name]:.2g} %",
+                f"{100 * result['median_width'][name]:.2g} %",
+            )
+            for name in result["p_values"]
+        ]
+        headings = ("parameter", "p-value", "within 90 %", "median error", "width of\nprior's")
+        print_table(console, headings, rows)
+        for number, text in result["failures"]:
+            console.print(escape(f"data set {number}: {text}"), soft_wrap=True)
+        if self.output is not None:
+            write_json(self.output, result)
+            console.print(escape(f"wrote {self.output}"))
+        return result
+
+    def exit_code(self, result: dict[str, Any]) -> int:
+        """Return 0 where all ranks are uniform, and 1 otherwise."""
+        return 0 if all(result["uniform"].values()) else 1
