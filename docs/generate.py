@@ -79,6 +79,7 @@ TOPICS = {
     ),
 }  # fmt: skip
 SB3_GUIDE = DOCS / "howto" / "train_with_sb3.md"
+TRAINING = DOCS / "training.md"
 HEADLINE = ("lqg-searched", "nmpc", "ppo", "apg", "apg-force")  # in the README
 DESIGNABLE = ("linear", "as-printed", "laboratory", "unknown-specimen", "yielding")
 
@@ -477,6 +478,23 @@ def sb3_guide() -> str:
     return table(("setting", "steps", "cost / LQR's cost, one seed each", "processor time [s]"), rows)
 
 
+def gradient_noise() -> str:
+    """Return the table of the estimators of a gradient beside the exact one."""
+    result = json.loads((DOCS / "results" / "gradient_noise.json").read_text(encoding="utf-8"))
+    rows = [
+        (
+            each["estimator"],
+            f"{100.0 * each['action_share']:.2g} %",
+            f"{each['cosine']:.2f}",
+            f"{each['along']:.2f} +- {each['along_error']:.2f}",
+            f"{each['samples']:,}".replace(",", " "),
+        )
+        for each in result["estimators"]
+    ]
+    heading = ("advantage", "share of one action", "cosine", "of the exact gradient", "samples for 1")
+    return table(heading, rows)
+
+
 def pages() -> dict[Path, str]:
     """Return every generated page by its path."""
     made = {
@@ -488,6 +506,7 @@ def pages() -> dict[Path, str]:
         ROOT / "shake_env" / "scenario" / SCHEMA_FILE: json.dumps(scenario_schema(), indent=1) + "\n",
         ROOT / "README.md": with_block(ROOT / "README.md", "headline", headline()),
         SB3_GUIDE: with_block(SB3_GUIDE, "sb3 guide", sb3_guide()),
+        TRAINING: with_block(TRAINING, "gradient noise", gradient_noise()),
     }
     for page, place, text in (
         (DOCS / "tables.md", "tables compared", compared_tables()),

@@ -184,7 +184,9 @@ _SMALL = 0.02
 _HALF = ("limits.soft_share=0.5", "limits.soft_weight=0.05")
 
 
-def _paired(evaluation_task: str, minutes: float, usual: dict[str, Any]) -> ExperimentConfig:
+def _paired(
+    evaluation_task: str, minutes: float, usual: dict[str, Any], label: str | None = None
+) -> ExperimentConfig:
     """Return the experiment of PPO for the same correction, by paired roll-outs.
 
     Unpaired, the earthquakes' share of a return's variance hides what an action does. Roll-outs of
@@ -199,7 +201,7 @@ def _paired(evaluation_task: str, minutes: float, usual: dict[str, Any]) -> Expe
         ppo=options, odd_symmetry=True, discount_horizon=2.0, total_timesteps=1_507_328, **usual
     )
     why = f"paired roll-outs without a critic; {_EXPLORES_LITTLE}"
-    return _experiment(evaluation_task, config, minutes, why, otherwise=_HALF)
+    return _experiment(evaluation_task, config, minutes, why, label, otherwise=_HALF)
 
 
 def _paired_with_memory(evaluation_task: str) -> ExperimentConfig:
@@ -330,6 +332,7 @@ EXPERIMENTS: tuple[ExperimentConfig, ...] = (
         otherwise=("objective.force_weight=30", *_SOFT),
     ),
     _paired("laboratory", 1.5, _WHOLE),
+    _paired("laboratory", 2.0, _STROKE, "ppo-stroke"),
     _distilled("laboratory", 9.0),
     _gradients_with_memory("unknown-specimen", 7.0),
     _paired("unknown-specimen", 3.0, _STROKE),
