@@ -41,6 +41,9 @@ def sb3_model(policy: PolicyFile) -> tuple[Any, ShakeTableVecEnv]:
     ppo = replace(config.ppo, batch_size=config.ppo.n_steps)
     config = replace(config, ppo=ppo, net_arch=tuple(len(bias) for bias in policy.biases[:-1]))
     scenario = config.scenario.build()
+    if policy.observation_size != scenario.observation.size:  # trained on one sample a control period
+        sensing = replace(scenario.sensing, preview_spacing=scenario.control_period)
+        scenario = replace(scenario, sensing=sensing)
     env = ShakeTableVecEnv(
         scenario,
         1,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -77,7 +78,7 @@ def render_program(program: Program) -> dict[str, str]:
 
 def write_program(
     program: Program,
-    folder: Path,
+    folder: str | os.PathLike[str],
     inputs: FloatArray,
     outputs: FloatArray,
     udp: Mapping[str, Any] | None = None,
@@ -96,7 +97,7 @@ def write_program(
     udp
         Numbers of the datagram (`agents.deployment.rehearsal.datagram`); None: no program for UDP.
     """
-    env = environment(program.precision)
+    folder, env = Path(folder), environment(program.precision)
     texts = render_program(program)
     context = {
         "name": program.name,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import os
 import shutil
 import subprocess
 import tempfile
@@ -143,19 +144,23 @@ class CompiledController(CompiledProgram):
         return outputs.reshape(*observation.shape[:-1], 1).astype(np.float32), (memory,)
 
 
-def build_test(folder: Path, name: str, flags: Sequence[str] = (), cc: str | None = None) -> Path:
+def build_test(
+    folder: str | os.PathLike[str], name: str, flags: Sequence[str] = (), cc: str | None = None
+) -> Path:
     """Compile the test program of a written export; return its path."""
+    folder = Path(folder)
     target = folder / f"{name}_test"
     sources = [folder / f"{name}.c", folder / f"{name}_test.c"]
     run_compiler([*FLAGS, *flags, "-o", target, *sources, "-lm"], cc)
     return target
 
 
-def step_times(folder: Path, name: str) -> dict[str, float]:
+def step_times(folder: str | os.PathLike[str], name: str) -> dict[str, float]:
     """Return median and worst time [us] of 100 000 steps of a written export's program.
 
     `worst_us` is by the clock, `worst_processor_us` in processor time.
     """
+    folder = Path(folder)
     test = build_test(folder, name)
     done = subprocess.run([str(test), "--time"], capture_output=True, text=True, check=True)
     times: dict[str, float] = json.loads(done.stdout)

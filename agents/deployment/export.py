@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ RECORDED = 200  # periods of the test that comes with a program
 def export_c(
     name: str,
     scenario: Scenario,
-    folder: Path,
+    folder: str | os.PathLike[str],
     *,
     supervised: bool = False,
     precision: Precision = "float64",
@@ -47,6 +48,7 @@ def export_c(
     program, files
         What was written.
     """
+    folder = Path(folder)
     if name == TABLE:
         program = plant_program(scenario, precision, prefix)
         return program, write_program(program, folder, *_recorded_table(program))
@@ -62,13 +64,14 @@ def export_c(
 def export_fmu(
     name: str,
     scenario: Scenario,
-    path: Path,
+    path: str | os.PathLike[str],
     *,
     version: Version = "3.0",
     supervised: bool = False,
     prefix: str | None = None,
 ) -> Program:
     """Write a controller, or the table, as an FMU; arguments as for `export_c`."""
+    path = Path(path)
     if name == TABLE:
         program = plant_program(scenario, prefix=prefix)
     else:

@@ -8,6 +8,7 @@ inputs set before it: a master that steps the controller first and the table aft
 from __future__ import annotations
 
 import hashlib
+import os
 import platform
 import sys
 import tempfile
@@ -38,7 +39,7 @@ _REASON = "not offered, as the model description says"
 _REFERENCES = [("const reference_t *", "references"), ("size_t ", "count")]
 
 
-def write_fmu(program: Program, path: Path, version: Version = "3.0") -> Path:
+def write_fmu(program: Program, path: str | os.PathLike[str], version: Version = "3.0") -> Path:
     """Compile a program and write it as an FMU; return the file.
 
     Raises
@@ -48,6 +49,7 @@ def write_fmu(program: Program, path: Path, version: Version = "3.0") -> Path:
     ShakeError
         If there is no C compiler, or it refuses the source.
     """
+    path = Path(path)
     if path.suffix != ".fmu":
         raise ParameterError("output", str(path), "must end in .fmu")
     major = version[0]

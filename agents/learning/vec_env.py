@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,12 @@ from shake_env.scenario.limits import OBSERVATION_BOUND, REASONS
 from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.engine import LaneState, StepResult
 from shake_env.simulation.sensors import SensorMemory
-from shake_env.simulation.simulation import Simulation, episode_stream, stream_array
+from shake_env.simulation.simulation import (
+    Simulation,
+    earthquake_stream,
+    episode_stream,
+    stream_array,
+)
 
 
 class ShakeTableVecEnv(VecEnv):
@@ -81,13 +87,14 @@ class ShakeTableVecEnv(VecEnv):
 
     def reset(self) -> NDArray[np.float32]:
         """Start an episode in every lane; seeds given to ``seed`` are used once."""
+        begun = {i: earthquake_stream(seed) for i, seed in enumerate(self._seeds) if seed is not None}
         for lane, seed in enumerate(self._seeds):
             if seed is not None or self._streams[lane] is None:
                 self._streams[lane], _ = seeding.np_random(seed)
         self._reset_seeds()
         self._reset_options()
         self._returns[:] = 0.0
-        self._observation = self._start(range(self.num_envs))
+        self._observation = self._start(range(self.num_envs), begun)
         return self._look().copy()
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
@@ -150,9 +157,18 @@ class ShakeTableVecEnv(VecEnv):
             info["broken_limit"] = REASONS[broken - 1]
         return info
 
-    def _start(self, lanes: Sequence[int]) -> NDArray[np.float32]:
+    def _start(
+        self,
+        lanes: Sequence[int],
+        begun: Mapping[int, np.random.Generator] = MappingProxyType({}),
+    ) -> NDArray[np.float32]:
+        """Start an episode in each lane: that of a stream `begun` for it, or the next of its own."""
         self.law_memory[list(lanes)] = 0.0
-        streams = [episode_stream(stream) for lane in lanes if (stream := self._streams[lane])]
+        streams = [
+            begun.get(lane) or episode_stream(stream)
+            for lane in lanes
+            if (stream := self._streams[lane])
+        ]
         return self.simulation.start(lanes, streams)
 
     @property

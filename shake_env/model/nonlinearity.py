@@ -105,12 +105,15 @@ class ServoValve:
     @property
     def rated(self) -> float:
         """Supply pressure [Pa] that the flow gain belongs to."""
-        return self.supply_pressure if self.rated_pressure is None else self.rated_pressure
+        linear = self.rated_pressure is None or math.isinf(self.supply_pressure)
+        return self.supply_pressure if linear else float(self.rated_pressure or 0.0)
 
     @property
     def missing(self) -> float:
         """What the supply is short of its rated pressure [Pa]."""
-        return 0.0 if self.rated_pressure is None else self.rated_pressure - self.supply_pressure
+        if self.rated_pressure is None or math.isinf(self.supply_pressure):
+            return 0.0
+        return self.rated_pressure - self.supply_pressure
 
     @property
     def flow_active(self) -> bool:

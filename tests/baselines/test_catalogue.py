@@ -56,7 +56,7 @@ REFUSED = {
 WORSE_THAN_NONE = {("linear", "lqr-continuous"), ("linear", "mcs"), ("yielding", "lqr-continuous")}
 REFERENCES = {
     "linear": "lqr", "as-printed": "lqr", "yielding": "preview-lqr",
-    "laboratory": "lqg", "unknown-specimen": "lqg", "records": "lqg",
+    "laboratory": "lqg", "unknown-specimen": "lqg", "records": "lqg", "field": "lqg",
 }  # fmt: skip
 
 

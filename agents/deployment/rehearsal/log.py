@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,12 @@ from agents.deployment.rehearsal.table import Rehearsal
 from shake_env.files import write_text
 
 
-def write_log(test: Rehearsal, path: Path) -> Path:
+def write_log(test: Rehearsal, path: str | os.PathLike[str]) -> Path:
     """Write a test's log as CSV: names with units, then one row a control period; return the file.
 
     All of a rehearsal's logs pass through here.
     """
+    path = Path(path)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(test.columns)
@@ -26,7 +28,7 @@ def write_log(test: Rehearsal, path: Path) -> Path:
     return path
 
 
-def draw_timing(test: Rehearsal, path: Path, deadline: float) -> Path:
+def draw_timing(test: Rehearsal, path: str | os.PathLike[str], deadline: float) -> Path:
     """Draw the distributions of latency and jitter; return the file.
 
     Parameters
@@ -38,6 +40,7 @@ def draw_timing(test: Rehearsal, path: Path, deadline: float) -> Path:
     deadline
         [s] of a command.
     """
+    path = Path(path)
     from agents.figure_style import figure_style, new_figure, write_figure
 
     latency = test.column("latency")

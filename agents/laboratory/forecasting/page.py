@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
@@ -48,8 +49,11 @@ def headings() -> list[str]:
     return ["controller", "amplitude", *titles, "P(limit)", "model the coupled system"]
 
 
-def write_page(forecasts: Sequence[Forecast], chosen: Advice, title: str, folder: Path) -> list[Path]:
+def write_page(
+    forecasts: Sequence[Forecast], chosen: Advice, title: str, folder: str | os.PathLike[str]
+) -> list[Path]:
     """Write the page and its figure; return the files."""
+    folder = Path(folder)
     figures = draw_bands(forecasts, folder)
     interval = f"{100 * forecasts[0].probability:g} %"
     number = len(forecasts[0].broken)
@@ -90,8 +94,9 @@ def _ordinates(forecast: Forecast) -> list[str]:
     return found
 
 
-def draw_bands(forecasts: Sequence[Forecast], folder: Path) -> list[Path]:
+def draw_bands(forecasts: Sequence[Forecast], folder: str | os.PathLike[str]) -> list[Path]:
     """Draw base shear and drift over time with their bands, at the largest amplitude."""
+    folder = Path(folder)
     largest = max(each.amplitude for each in forecasts)
     shown = [each for each in forecasts if each.amplitude == largest][: len(CONTROLLERS)]
     with figure_style():

@@ -7,6 +7,7 @@ Under feedback both are biased where the noise goes round the loop. Ordinates be
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,8 +79,9 @@ def frequency_response(log: TestLog, source: str, response: str) -> FrequencyRes
     return FrequencyResponse(source, response, frequency, h1, h2, coherence, segments)
 
 
-def draw_frequency_responses(log: TestLog, folder: Path, name: str) -> list[Path]:
+def draw_frequency_responses(log: TestLog, folder: str | os.PathLike[str], name: str) -> list[Path]:
     """Draw the responses of a log with their coherence; return the files."""
+    folder = Path(folder)
     responses = frequency_responses(log)[:4]
     with figure_style():
         figure = new_figure(8.0, 2.2 * len(responses) + 0.6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -161,7 +162,7 @@ def model_of(
     return scenario
 
 
-def read_prior(file: Path, scenario: Scenario) -> Prior:
+def read_prior(file: str | os.PathLike[str], scenario: Scenario) -> Prior:
     """Return the prior of a file: a posterior of an earlier update, or TOML with medians and factors.
 
     In TOML a table for each parameter, ``[bulk_modulus]``, has ``median`` and ``factor`` (the standard
@@ -175,6 +176,7 @@ def read_prior(file: Path, scenario: Scenario) -> Prior:
     ParameterError
         If an entry is unknown or no quantity.
     """
+    file = Path(file)
     if file.suffix == ".json":
         return read_posterior(file).prior()
     if not file.is_file():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -97,8 +98,9 @@ class Posterior:
         low, high = np.quantile(self.values, ends, axis=0)
         return {n: (float(a), float(b)) for n, a, b in zip(self.names, low, high, strict=True)}
 
-    def write(self, file: Path) -> None:
+    def write(self, file: str | os.PathLike[str]) -> None:
         """Write the file, which `[uncertainty.posterior]` of a scenario's file names."""
+        file = Path(file)
         content: dict[str, Any] = {
             "format": FORMAT,
             "version": VERSION,
@@ -117,7 +119,7 @@ class Posterior:
         write_text(file, json.dumps(content) + "\n")
 
 
-def read_posterior(file: Path) -> Posterior:
+def read_posterior(file: str | os.PathLike[str]) -> Posterior:
     """Return the posterior of a file.
 
     Raises
@@ -125,6 +127,7 @@ def read_posterior(file: Path) -> Posterior:
     FileError
         If it cannot be read, is none, or its scenario is not that of its digest.
     """
+    file = Path(file)
     content = read_posterior_file(file)
     try:
         scenario = scenario_of_text(json.dumps(content["scenario"]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from agents.laboratory.logs.csv_file import csv_bytes, read_csv
@@ -20,7 +21,7 @@ _HDF5, _TDMS = b"\x89HDF\r\n\x1a\n", b"TDSm"
 _MATLAB = (b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file")
 
 
-def write_log(log: TestLog, file: Path) -> None:
+def write_log(log: TestLog, file: str | os.PathLike[str]) -> None:
     """Write a log; the ending of the file's name (.h5, .hdf5, .mat, .csv) decides its format.
 
     Raises
@@ -30,12 +31,13 @@ def write_log(log: TestLog, file: Path) -> None:
     FileError
         If the file cannot be written.
     """
+    file = Path(file)
     if file.suffix not in WRITERS:
         raise LogError("file", str(file), f"must end in {', '.join(WRITERS)}")
     write_bytes(file, WRITERS[file.suffix](log))
 
 
-def read_log(file: Path, mapping: Mapped | None = None) -> TestLog:
+def read_log(file: str | os.PathLike[str], mapping: Mapped | None = None) -> TestLog:
     """Return the log of a file: HDF5, MATLAB 5 or 7.3, TDMS, or CSV, told by its first bytes.
 
     Parameters
@@ -53,6 +55,7 @@ def read_log(file: Path, mapping: Mapped | None = None) -> TestLog:
     RecordError
         If a MATLAB file is damaged.
     """
+    file = Path(file)
     if not file.is_file():
         raise LogError("log", str(file), no_file(file))
     try:

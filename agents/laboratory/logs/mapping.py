@@ -14,6 +14,7 @@ factor = -1.0
 from __future__ import annotations
 
 import math
+import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -52,7 +53,7 @@ class Mapped:
     delimiter: str | None = None  # of a CSV file; None: comma, semicolon or tab, as its first row has it
 
 
-def read_mapping(file: Path) -> Mapped:
+def read_mapping(file: str | os.PathLike[str]) -> Mapped:
     """Return a mapping file.
 
     Raises
@@ -60,6 +61,7 @@ def read_mapping(file: Path) -> Mapped:
     LogError
         If it cannot be read, is no TOML, or an entry is unknown, missing or of another type.
     """
+    file = Path(file)
     if not file.is_file():
         raise LogError("mapping", str(file), no_file(file))
     try:

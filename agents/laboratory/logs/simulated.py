@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -19,7 +20,7 @@ def write_logs(
     scenario: Scenario,
     names: Sequence[str],
     earthquakes: Sequence[Earthquake],
-    folder: Path,
+    folder: str | os.PathLike[str],
     *,
     ending: str = ".h5",
     tuned: TunedValues | None = None,
@@ -42,6 +43,7 @@ def write_logs(
     on_progress
         Told the controller that runs and its share done, 0 to 1.
     """
+    folder = Path(folder)
     written = []
     for name, each in get_controllers(names, scenario, earthquakes, tuned).controllers.items():
         recorder = LogRecorder(scenario, earthquakes)

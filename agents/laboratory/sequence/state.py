@@ -7,6 +7,7 @@ action is given again, and goes on from what is there.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -108,7 +109,7 @@ class Sequence:
         write_json(self.folder / FILE, content)
 
 
-def read_sequence(folder: Path) -> Sequence:
+def read_sequence(folder: str | os.PathLike[str]) -> Sequence:
     """Return the sequence of a folder.
 
     Raises
@@ -116,6 +117,7 @@ def read_sequence(folder: Path) -> Sequence:
     FileError
         If there is none, or its file is damaged.
     """
+    folder = Path(folder)
     path = folder / FILE
     if not path.is_file():
         raise FileError("sequence", str(path), f"{no_file(path)}: begin with shake sequence plan")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from collections.abc import Sequence as Items
 from dataclasses import replace
@@ -35,7 +36,7 @@ def silent(what: str, share: float) -> None:
 
 
 def plan(
-    folder: Path,
+    folder: str | os.PathLike[str],
     scenario: Scenario,
     *,
     amplitudes: Items[float] = AMPLITUDES,
@@ -68,6 +69,7 @@ def plan(
     ParameterError
         If the amplitudes do not rise, or the folder holds a sequence.
     """
+    folder = Path(folder)
     if isinstance(scenario.motion, MotionSet):
         raise ParameterError("motion", "a set", "a sequence repeats one motion: name it")
     if not amplitudes or any(b <= a for a, b in zip((0.0, *amplitudes), amplitudes, strict=False)):

@@ -8,7 +8,6 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.policies.policy_file import digest, load_policy
-from agents.policies.registry import shipped_policy
 from agents.policies.symmetry import mirror_averaged
 from agents.run_directory import FIRST, learning_curve
 from agents.scenario_options import ScenarioOptions
@@ -92,9 +91,9 @@ def test_a_model_acts_as_the_policy_that_it_begins_with(giver, taker):
 
 
 def test_a_correction_behind_an_estimator_goes_on():
-    policy = load_policy(shipped_policy("apg", "unknown-specimen"))
-    scenario = ScenarioOptions("unknown-specimen")
-    model, env = model_of(TrainConfig(algorithm="apg", scenario=scenario, apg=FREE))
+    config = TrainConfig(algorithm="apg", scenario=ScenarioOptions("unknown-specimen"), apg=FREE)
+    policy = policy_of(config)
+    model, env = model_of(config)
     load_actor_weights(model, env, policy)
     begun = export_policy(model, env, {})
     for ours, theirs in zip(begun.weights, policy.weights, strict=True):

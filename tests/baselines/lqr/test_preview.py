@@ -206,7 +206,7 @@ def test_what_cannot_be_designed_says_why():
         design(make_scenario("as-printed"), 0.02)
     with pytest.raises(NumericalError, match="stationary"):
         design(make_scenario("linear", {"damping_ratio": 0.0, "force_weight": 0.0}), 0.02)
-    with pytest.raises(ScenarioError, match="must show 4 samples"):
+    with pytest.raises(ScenarioError, match="must show 20 samples"):
         PreviewFeedback(scenario, design(scenario, 0.02))
     with pytest.raises(ScenarioError, match="must show 10 samples of the coming target"):
         PreviewFeedback(

@@ -78,7 +78,9 @@ def test_parts_of_a_scenario_have_their_type(field, value):
 
 @pytest.mark.parametrize("name", ["liner", "", "LINEAR"])
 def test_unknown_scenario(name):
-    with pytest.raises(ScenarioError, match=r"scenario = .*known: .*as-printed, laboratory, linear"):
+    with pytest.raises(
+        ScenarioError, match=r"scenario = .*known: .*as-printed, field, laboratory, linear"
+    ):
         make_scenario(name)
     with pytest.raises(ScenarioError, match="scenario"):
         ShakeTableEnv(name)

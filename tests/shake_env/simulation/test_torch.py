@@ -9,7 +9,7 @@ import pytest
 from baselines.lqr.sampled import sampled_lqr
 from shake_env import ShakeTableEnv, ShakeTableVectorEnv, make_scenario
 from shake_env.dynamics.ground import GroundPeriod
-from shake_env.simulation.simulation import Simulation
+from shake_env.simulation.simulation import Simulation, earthquake_stream
 from shake_env.simulation.transition import TableModel
 
 torch = pytest.importorskip("torch")
@@ -77,7 +77,7 @@ def test_single_env_vector_lane_and_torch_agree_over_ten_seconds_and_an_autorese
     model = TableModel.of(scenario).like(torch.zeros(1, dtype=torch.float64))
     of_torch = []
     for first, last in ((0, period_steps), (period_steps, steps)):
-        source.start([0], stream.spawn(1))
+        source.start([0], [earthquake_stream(seed + lane)] if first == 0 else stream.spawn(1))
         state = torch.zeros((1, model.dynamics.states), dtype=torch.float64)
         for t in range(first, last):
             ground = source.advance_ground()[0].like(state)

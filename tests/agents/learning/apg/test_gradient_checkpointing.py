@@ -41,11 +41,11 @@ def estimated(scenario):
 def test_segments_are_run_again_where_a_whole_window_is_swept_in_numpy(monkeypatch):
     model = model_on(make_scenario("linear"), lanes=4, window=12, terminal_value=False)
     model.policy.double()
-    start = model.env.snapshot()
+    start = model.env.get_state()
 
     def gradient(checkpoint):
         model.checkpoint = checkpoint
-        model.env.restore(start)
+        model.env.set_state(start)
         return torch.autograd.grad(model.window_loss()[0], model._actor)
 
     whole = gradient(0)

@@ -1,0 +1,1 @@
+"""Commands on studies: reproduction of the paper, transients, components, noise of gradients."""
