@@ -205,7 +205,8 @@ def users_of_studies(texts):
 
 def test_studies_stand_apart_from_all_but_their_commands():
     texts = {name: path.read_text(encoding="utf-8") for name, path in sources()}
-    commands = {f"agents.cli.{name}" for name in ("plot_components", "reproduce", "validate_transients")}
+    names = ("gradient_noise", "plot_components", "reproduce", "validate_transients")
+    commands = {f"agents.cli.studies.{name}" for name in names}
     assert users_of_studies(texts) == commands
     wrong = {"agents.motions.figure": "def f():\n    from agents.studies.validation import run"}
     assert users_of_studies(wrong) == set(wrong)

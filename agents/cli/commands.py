@@ -100,20 +100,20 @@ COMMANDS = {
         "agents.cli.tune_training", "TuneTraining", "Search a training configuration by short runs."
     ),
     "gradient-noise": Command(
-        "agents.cli.gradient_noise",
+        "agents.cli.studies.gradient_noise",
         "GradientNoiseCommand",
         "How much of a score-function gradient is signal, paired and unpaired.",
     ),
     "reproduce": Command(
-        "agents.cli.reproduce", "Reproduce", "Tables and figures of Gavin and Hoagg (2009)."
+        "agents.cli.studies.reproduce", "Reproduce", "Tables and figures of Gavin and Hoagg (2009)."
     ),
     "validate-transients": Command(
-        "agents.cli.validate_transients",
+        "agents.cli.studies.validate_transients",
         "ValidateTransients",
         "Check each response against its physical range.",
     ),
     "plot-components": Command(
-        "agents.cli.plot_components", "PlotComponents", "Figures of yielding, friction and valve."
+        "agents.cli.studies.plot_components", "PlotComponents", "Figures of yielding, friction and valve."
     ),
 }  # fmt: skip
 HELP = ("-h", "--help")

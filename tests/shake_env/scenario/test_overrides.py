@@ -211,7 +211,7 @@ def test_the_noise_of_a_limited_table_does_not_scale_its_records():
 
 
 def test_validation_takes_the_linear_part_of_any_scenario():
-    from agents.cli.validate_transients import linear_part
+    from agents.cli.studies.validate_transients import linear_part
     from baselines.lqr.sampled import lqr, sampled_lqr
 
     for name in ("laboratory", "unknown-specimen", "yielding"):

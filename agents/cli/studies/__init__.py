@@ -1,0 +1,1 @@
+"""Commands of the studies: the paper anew, transients, components, noise of gradients."""
