@@ -113,7 +113,9 @@ COMMANDS = {
         "Check each response against its physical range.",
     ),
     "plot-components": Command(
-        "agents.cli.studies.plot_components", "PlotComponents", "Figures of yielding, friction and valve."
+        "agents.cli.studies.plot_components",
+        "PlotComponents",
+        "Figures of yielding, friction and valve.",
     ),
 }  # fmt: skip
 HELP = ("-h", "--help")
