@@ -405,6 +405,66 @@ def shear_error(row: dict[str, Any]) -> str:
     return interval(row["base_shear_rms_error"], 1, 100.0) + failed
 
 
+def compared_tables() -> str | None:
+    """Return the comparison of every named table from ``results/table_NAME.json``; None: not all there.
+
+    Each is what ``shake compare --table NAME ... --json`` printed.
+    """
+    files = {name: DOCS / "results" / f"table_{name}.json" for name in TABLE_NAMES}
+    if not all(file.exists() for file in files.values()):
+        return None
+    rows = []
+    for name, file in files.items():
+        result = json.loads(file.read_text(encoding="utf-8"))
+        for row in result["summaries"]:
+            rows.append((
+                name,
+                f"`{row['controller']}`",
+                row["information"],
+                f"{row['relative_cost']:.3g}",
+                f"{100 * row['acceleration_rms_error']:.2g}",
+                f"{100 * row['base_shear_rms_error']:.2g}",
+                str(row["broken_limits"]),
+            ))  # fmt: skip
+    head = (
+        "table", "controller", "information", "cost / lqg", "acceleration error [%]",
+        "base-shear error [%]", "ended by a limit",
+    )  # fmt: skip
+    return table(head, rows)
+
+
+PLANNED_SCENARIOS = ("laboratory", "yielding", "unknown-specimen", "records")
+PLANNERS = ("nmpc", "nmpc-adaptive", "planned")
+
+
+def planning_figures() -> str | None:
+    """Return the planners' costs over the bound from the evaluation's results; None: without bounds."""
+    rows = []
+    for name in PLANNED_SCENARIOS:
+        file = DOCS / "results" / f"evaluation_{name}.json"
+        result = json.loads(file.read_text(encoding="utf-8"))
+        if not result.get("bound", {}).get("costs"):
+            return None
+        entries = {row["controller"]: row for row in result["rows"]}
+        bounds = result["bound"]["costs"]
+        lost = ", ".join(
+            f"`{each}` {entries[each]['failures']} of {entries[each]['episodes']}"
+            for each in PLANNERS
+            if each in entries and entries[each]["failures"]
+        )
+        rows.append((
+            f"`{name}`",
+            f"{sum(bounds) / len(bounds):.4g} ({len(bounds)})",
+            f"`{result['reference']}` {cost_interval(entries[result['reference']]['relative_cost'])}",
+            *(cost_interval(entries[p]["relative_cost"]) if p in entries else "-" for p in PLANNERS),
+            lost or "none",
+        ))  # fmt: skip
+    head = (
+        "cost / bound", "bound (earthquakes)", "reference", *(f"`{p}`" for p in PLANNERS), "failed",
+    )  # fmt: skip
+    return table(head, rows)
+
+
 def sb3_guide() -> str:
     """Return the table of the guide's runs, a row for each setting, with the costs of its seeds."""
     runs = json.loads((DOCS / "results" / "sb3_guide.json").read_text(encoding="utf-8"))
@@ -448,6 +508,12 @@ def pages() -> dict[Path, str]:
         SB3_GUIDE: with_block(SB3_GUIDE, "sb3 guide", sb3_guide()),
         TRAINING: with_block(TRAINING, "gradient noise", gradient_noise()),
     }
+    for page, place, text in (
+        (DOCS / "tables.md", "tables compared", compared_tables()),
+        (DOCS / "planning.md", "planning", planning_figures()),
+    ):
+        if text is not None:
+            made[page] = with_block(page, place, text)
     return made | {DOCS / "api" / f"{package}.md": api(package) for package in PACKAGES}
 
 

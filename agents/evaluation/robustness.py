@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 import shake_env
+from agents.evaluation.bound_store import earthquake_bounds
 from agents.evaluation.controller_set import ControllerSet, get_controllers, values_to_json
 from agents.evaluation.perturbations import (
     QUANTITIES,
@@ -165,6 +166,8 @@ def robustness(
 ) -> dict[str, Any]:
     """Return costs and failures of every controller under every change, as plain JSON values.
 
+    The bound is of the earthquakes where nothing is changed.
+
     Parameters
     ----------
     scenario
@@ -215,6 +218,9 @@ def robustness(
         "seed": None if scenario.reserved_for_testing else seed,
         "earthquakes": [quake.name for quake in quakes],
         "reference": reference,
+        "bound": earthquake_bounds(
+            scenario, quakes, on_progress=lambda share: on_progress("bound", share)
+        ).to_json(),
         "skipped": chosen.skipped,
         "warnings": chosen.warnings,
         "values": values_to_json(chosen.values),

@@ -153,6 +153,12 @@ def markdown(result: dict[str, Any]) -> str:
             *(_cell(result, points, values, quantity["unit"], each["name"]) for each in shown),
         ]
         rows.append(cells)
+    costs = (result.get("bound") or {}).get("costs")
+    if costs:
+        nominal, bound = result["points"][0]["cost"], sum(costs) / len(costs)
+        rows.append(
+            ["nothing: cost / bound", "", *(f"{nominal[each['name']] / bound:.2f}" for each in shown)]
+        )
     seed = "recorded" if result["seed"] is None else f"seeds from {result['seed']}"
     return (
         f"{markdown_table(head, rows)}\nCost over {result['reference']}'s, least to most of the values "

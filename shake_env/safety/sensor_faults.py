@@ -31,7 +31,7 @@ class Channels:
     places: NDArray[np.intp]  # (s,) in the observation
     scale: FloatArray  # (s,) SI, of the observation's entries
     noise: FloatArray  # (s,) rms of a reading's error, SI
-    lead: float  # [-] control periods by which the accelerometer's low-pass is late
+    cutoff: float  # [Hz] of the accelerometer's low-pass; infinite: none
     reach: FloatArray  # (s,) largest credible reading, SI; infinite where nothing limits it
     rarity: FloatArray  # (s,) -log10 of the chance that two readings in a row are equal; 0: certain
 
@@ -40,7 +40,7 @@ class Channels:
         """Return the channels of a scenario that shows all four readings of x_A."""
         layout, limits = scenario.observation, scenario.limits
         names = sorted(STATE_SIGNALS, key=STATE_SIGNALS.__getitem__)
-        lead = 0.0
+        cutoff = math.inf
         if layout.sensing.full_state:
             actuator = scenario.plant.layout.actuator
             places = np.arange(actuator.start, actuator.stop)
@@ -57,8 +57,7 @@ class Channels:
             noise = np.sqrt(white**2 + bias**2 + step**2 / 12.0)
             rarity = np.where(white > 0.0, _rarity(white, step), 0.0)
             if ACCELERATION in names:
-                cutoff = layout.sensor_values("lowpass_frequency")[at[-1]]
-                lead = float(1.0 / (2.0 * math.pi * scenario.control_period * cutoff))
+                cutoff = float(layout.sensor_values("lowpass_frequency")[at[-1]])
         spool = min(
             scenario.nonlinearity.valve.spool_limit,
             scenario.actuator.valve_gain * scenario.current_limit,
@@ -66,7 +65,7 @@ class Channels:
         own = {"spool_position": spool}
         most = [own.get(name, getattr(limits, name, None)) for name in names]
         reach = np.asarray([math.inf if value is None else RANGE * value for value in most])
-        return cls(tuple(names), places, scale, noise, lead, reach, rarity)
+        return cls(tuple(names), places, scale, noise, cutoff, reach, rarity)
 
     def incredible(
         self, readings: FloatArray, before: FloatArray, equal: NDArray[np.int64]

@@ -1,10 +1,11 @@
 """Where the table is when a sensor fails: a Kalman filter over redundant readings.
 
-The states are x_A and the force on the table that the bare table leaves out (specimen and friction, a
-random walk). The model is the linear table over one control period, with the orifice's flow as an
-input. Each reading is tested against the prediction; one that does not fit is left out, and the filter
-goes on with the others (Willsky, Automatica 12, 1976). What is not known of bulk modulus, valve gain
-and delay widens the covariance as the table moves.
+The states are x_A, the force on the table that the bare table leaves out (specimen and friction, a
+random walk), and the output of the accelerometer's low-pass, if it has one. The model is the linear
+table over one control period, with the orifice's flow as an input. Each reading is tested against the
+prediction; one that does not fit is left out, and the filter goes on with the others (Willsky,
+Automatica 12, 1976). What is not known of bulk modulus, valve gain and delay widens the covariance as
+the table moves.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +26,7 @@ from shake_env.scenario.limits import Limits
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uniform
 
-STATES = ACTUATOR + 1  # x_A and the force
+STATES = ACTUATOR + 1  # x_A and the force; then the output of the accelerometer's low-pass
 GATE = 36.0  # [-] chi-square of all innovations, above which a reading is at fault
 GAIN_ERROR = 0.2  # [-] rms error of valve gain and bulk modulus; 30 % is one and a half of it
 DELAY_ERROR = 0.3  # [-] of a control period
@@ -38,11 +40,10 @@ FADING = 0.97  # [-] share of a misfit that is still counted a period later
 class ObserverMemory:
     """What the observer knows of each table; leading axis N."""
 
-    state: FloatArray  # (N, 5) predicted for now
-    covariance: FloatArray  # (N, 5, 5)
+    state: FloatArray  # (N, n) predicted for now
+    covariance: FloatArray  # (N, n, n)
     before: FloatArray  # (N, s) readings of the period before; NaN: none
     equal: NDArray[np.int64]  # (N, s) readings in a row that were equal
-    filtered: FloatArray  # (N, s - 4) the accelerometer's last reading, SI
     faulty: NDArray[np.bool_]  # (N, s) readings of that period that were left out
     misfit: FloatArray  # (N, 4) recent part of the innovations of x_A that noise does not explain
     faults: NDArray[np.int64]  # (N, s) readings left out as faulty, over all episodes
@@ -60,27 +61,28 @@ class Estimate:
 
 @dataclass(frozen=True)
 class TableStateObserver:
-    """The filter's matrices."""
+    """The filter's matrices; n states, 5, or 6 with a low-pass."""
 
     channels: Channels
-    size: FloatArray  # (5,) SI, of the states; in what follows they are divided by it
+    size: FloatArray  # (n,) SI, of the states; in what follows they are divided by it
     unit: FloatArray  # (s,) SI, of the readings, likewise
-    A: FloatArray  # (5, 5) over one control period
-    flow: FloatArray  # (5,) from the orifice's departure from linear flow [m of spool]
-    current: FloatArray  # (5, commands + 1) from the commands, oldest first [A]
-    C: FloatArray  # (s, 5) readings
+    A: FloatArray  # (n, n) over one control period
+    flow: FloatArray  # (n,) from the orifice's departure from linear flow [m of spool]
+    current: FloatArray  # (n, commands + 1) from the commands, oldest first [A]
+    C: FloatArray  # (s, n) readings
     R: FloatArray  # (s,) their variance
-    Q: FloatArray  # (5, 5)
+    Q: FloatArray  # (n, n)
     gain_error: float  # [-] rms relative error of the valve's gain
     delay_error: float  # [-] of a control period
-    oil: FloatArray  # (5,) error that the oil's stiffness makes, for a unit change of pressure
+    oil: FloatArray  # (n,) error that the oil's stiffness makes, for a unit change of pressure
 
     @classmethod
     def of(cls, scenario: Scenario) -> TableStateObserver:
         """Return the observer of a scenario's nominal table."""
         channels, actuator = Channels.of(scenario), scenario.actuator
         uncertain = scenario.uncertainty
-        model = bare_table(scenario).period
+        bare = bare_table(scenario)
+        model = bare.period
         force = ACTUATOR + 2  # behind x_A and the bare table's one storey
         kept = [*range(ACTUATOR), force]
         mass, area = actuator.table_mass, actuator.piston_area
@@ -98,38 +100,48 @@ class TableStateObserver:
         size = np.asarray([*table, mass * full.table_acceleration])
         unit = np.asarray([*table, full.table_acceleration])[: len(C)]
         noise = channels.noise / unit + ROUNDING
-        # The low-pass, f' = (y - f) / T, is undone by a difference of two readings: y = f + T f'.
-        noise[ACTUATOR:] *= np.hypot(1.0 + channels.lead, channels.lead)
-        A = model[np.ix_(kept, kept)] * size / size[:, None]
-        push = np.append(A[:ACTUATOR, -1], 0.0)  # of a force that is held over the period
-        step = FORCE_STEP * (0.5 * push + np.eye(STATES)[-1])
+        A = model[np.ix_(kept, kept)]
+        flow, current = model[kept, force + 1], model[kept, force + 2 :]
+        if len(C) > ACTUATOR and math.isfinite(channels.cutoff):
+            start = np.zeros(bare.outputs.shape[-1])
+            start[kept] = C[ACTUATOR]
+            stays, row = _low_pass(scenario, np.vstack([start, bare.outputs[:, ACTUATOR]]))
+            A = np.block([[A, np.zeros((STATES, 1))], [row[kept], np.array([[stays]])]])
+            flow, current = np.append(flow, row[force + 1]), np.vstack([current, row[force + 2 :]])
+            C = np.pad(C, ((0, 0), (0, 1)))
+            C[ACTUATOR] = np.eye(STATES + 1)[STATES]
+            size = np.append(size, full.table_acceleration)
+        A = A * size / size[:, None]
+        push = np.where(np.arange(len(A)) == ACTUATOR, 0.0, A[:, ACTUATOR])  # of a force held over it
+        step = FORCE_STEP * (0.5 * push + np.eye(len(A))[ACTUATOR])
         return cls(
             channels=channels,
             size=size,
             unit=unit,
             A=A,
-            flow=model[kept, force + 1] / size,
-            current=model[kept, force + 2 :] / size[:, None],
+            flow=flow / size,
+            current=current / size[:, None],
             C=C * size / unit[:, None],
             R=np.square(noise),
             Q=np.outer(step, step),
             gain_error=_error(uncertain.valve_gain, actuator.valve_gain),
             delay_error=_delay_error(scenario),
             oil=_error(uncertain.bulk_modulus, actuator.bulk_modulus)
-            * (np.eye(STATES)[LOAD_PRESSURE] + 0.5 * push * area * size[0] / size[-1]),
+            * (np.eye(len(A))[LOAD_PRESSURE] + 0.5 * push * area * size[0] / size[ACTUATOR]),
         )
 
     def begin(self, lanes: int) -> ObserverMemory:
         """Return the memory of tables at rest."""
         s = len(self.channels.names)
-        rest = np.append(self.R[:ACTUATOR], self.Q[-1, -1])
+        rest = np.append(self.R[:ACTUATOR], self.Q[ACTUATOR, ACTUATOR])
+        if len(self.size) > STATES:
+            rest = np.append(rest, self.R[ACTUATOR])
         rest[TABLE_DISPLACEMENT] = (START / self.size[TABLE_DISPLACEMENT]) ** 2
         return ObserverMemory(
-            state=np.zeros((lanes, STATES)),
+            state=np.zeros((lanes, len(self.size))),
             covariance=np.tile(np.diag(rest), (lanes, 1, 1)),
             before=np.full((lanes, s), np.nan),
             equal=np.zeros((lanes, s), dtype=np.int64),
-            filtered=np.zeros((lanes, s - ACTUATOR)),
             faulty=np.zeros((lanes, s), dtype=bool),
             misfit=np.zeros((lanes, ACTUATOR)),
             faults=np.zeros((lanes, s), dtype=np.int64),
@@ -159,11 +171,7 @@ class TableStateObserver:
         impossible, repeated, equal = channels.incredible(readings, memory.before, memory.equal)
         # What was wrong is no better for being repeated.
         faulty: NDArray[np.bool_] = impossible | (repeated & memory.faulty)
-        value = readings.copy()
-        if len(C) > ACTUATOR:
-            last = memory.filtered
-            value[:, ACTUATOR:] += channels.lead * (readings[:, ACTUATOR:] - last)
-        value = np.where(np.isfinite(value), value, 0.0) / self.unit
+        value = np.where(np.isfinite(readings), readings, 0.0) / self.unit
         P = memory.covariance
         innovation = value - memory.state @ C.T
         spread = P @ C.T  # (N, 5, s)
@@ -188,7 +196,7 @@ class TableStateObserver:
         state = memory.state + (gain @ y[:, :, None])[:, :, 0]
         # Joseph's form, which rounding leaves positive.
         K = gain @ W * (weigh / size)[:, None, :]
-        kept = np.eye(STATES) - K @ C
+        kept = np.eye(len(self.size)) - K @ C
         covariance = kept @ P @ np.swapaxes(kept, 1, 2) + (K * self.R) @ np.swapaxes(K, 1, 2)
         fits = (faulty[:, :ACTUATOR] == 0).all(axis=1)
         variance = np.maximum(covariance[:, range(ACTUATOR), range(ACTUATOR)], 0.0)
@@ -205,7 +213,6 @@ class TableStateObserver:
             covariance=covariance,
             before=np.where(np.isfinite(readings), readings, memory.before),
             equal=equal,
-            filtered=np.where(faulty, expected, readings)[:, ACTUATOR:],
             faulty=faulty,
             misfit=np.maximum(FADING * memory.misfit, unexplained),
             faults=memory.faults + faulty,
@@ -240,6 +247,22 @@ class TableStateObserver:
         errors = np.stack([self.gain_error * held, late, oil], axis=2)
         covariance = A @ memory.covariance @ A.T + self.Q + errors @ np.swapaxes(errors, 1, 2)
         return replace(memory, state=state, covariance=covariance)
+
+
+def _low_pass(scenario: Scenario, signal: FloatArray) -> tuple[float, FloatArray]:
+    """Return what stays of a low-pass's output over a period, and what a signal adds to it.
+
+    Parameters
+    ----------
+    signal
+        (k + 1, columns) at the period's start and after each physics step; straight between.
+    """
+    decay = 2.0 * math.pi * scenario.physics_step * Channels.of(scenario).cutoff
+    stays, mean = math.exp(-decay), -math.expm1(-decay) / decay
+    row = np.zeros(signal.shape[1])
+    for before, now in pairwise(signal):
+        row = stays * row + (mean - stays) * before + (1.0 - mean) * now
+    return stays ** (len(signal) - 1), row
 
 
 def _error(range_: Uniform | None, nominal: float) -> float:

@@ -5,13 +5,12 @@ One lane per set of parameters: a batch of perturbed tables gives all sensitivit
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import lfilter
 
+from shake_env.dynamics.low_pass import first_low_pass
 from shake_env.dynamics.nonlinear import (
     NonlinearDynamics,
     arrival,
@@ -20,7 +19,7 @@ from shake_env.dynamics.nonlinear import (
 )
 from shake_env.errors import LogError
 from shake_env.model.parameters import FloatArray, stacked
-from shake_env.model.plant import LOAD_PRESSURE, CoupledPlant
+from shake_env.model.plant import CoupledPlant
 from shake_env.scenario.observation import STATE_SIGNALS
 from shake_env.scenario.scenario import Scenario
 
@@ -44,12 +43,14 @@ def predicted(scenarios: Sequence[Scenario], current: FloatArray, channels: Sequ
     """
     first = scenarios[0]
     dynamics, plant, scale = _tables(scenarios)
-    lanes, k = len(scenarios), first.substeps
+    lanes = len(scenarios)
     wants_floors = any(name.startswith("floor_acceleration_") for name in channels)
     rows = floor_rows(plant, first.nonlinearity.yielding) if wants_floors else None
-    columns = [_column(name) for name in channels]
+    filtered = first_low_pass(plant, first.parts)
+    behind = {each.signal: filtered + i for i, each in enumerate(first.observation.low_passes)}
+    columns = [behind.get(name, _column(name)) for name in channels]
     state = np.zeros((lanes, dynamics.states))
-    found = np.empty((lanes, len(current), len(channels)))
+    readings = np.empty((lanes, len(current), len(channels)))
     command = np.empty(lanes)
     with np.errstate(over="ignore", invalid="ignore"):  # a table that diverges fits nothing
         for t, value in enumerate(current):
@@ -58,19 +59,19 @@ def predicted(scenarios: Sequence[Scenario], current: FloatArray, channels: Sequ
             state = response.state
             for c, place in enumerate(columns):
                 if place >= 0:
-                    found[:, t, c] = state[:, place]
+                    readings[:, t, c] = state[:, place]
                 elif place == _ACCELERATION:
-                    found[:, t, c] = response.table_acceleration[:, -1]
+                    readings[:, t, c] = response.table_acceleration[:, -1]
                 elif place == _SHEAR:
-                    found[:, t, c] = response.base_shear[:, -1]
+                    readings[:, t, c] = response.base_shear[:, -1]
                 else:
                     assert rows is not None  # a floor is asked for
                     storeys = state[:, 4 : 4 + rows.shape[-1]] / scale[:, 4 : 4 + rows.shape[-1]]
-                    found[:, t, c] = np.sum(rows[:, _FLOORS - place] * storeys, axis=-1)
+                    readings[:, t, c] = np.sum(rows[:, _FLOORS - place] * storeys, axis=-1)
         for c, place in enumerate(columns):
             if place >= 0:
-                found[:, :, c] /= scale[:, place, None]
-        return _low_passed(found, first, channels, k)
+                readings[:, :, c] /= scale[:, place, None]
+        return readings
 
 
 _ACCELERATION, _SHEAR, _FLOORS = -1, -2, -3
@@ -89,32 +90,12 @@ def _column(name: str) -> int:
     raise LogError("channel", name, "is not measured on a table")
 
 
-def _low_passed(
-    signals: FloatArray, scenario: Scenario, channels: Sequence[str], substeps: int
-) -> FloatArray:
-    """Return signals (N, samples, channels) behind the low-passes, as `Measurement` has them."""
-    for c, name in enumerate(channels):
-        cutoff = _cutoff(scenario, name)
-        if math.isfinite(cutoff):
-            share = -math.expm1(-2.0 * math.pi * scenario.control_period * cutoff)
-            signals[:, :, c] = lfilter([share], [1.0, share - 1.0], signals[:, :, c], axis=1)
-    return signals
-
-
-def _cutoff(scenario: Scenario, channel: str) -> float:
-    """Return the frequency [Hz] of a channel's low-pass; infinite: none."""
-    if scenario.sensing.full_state or channel not in scenario.observation.reading_names:
-        return math.inf
-    place = scenario.observation.reading_names.index(channel)
-    return float(scenario.observation.sensor_values("lowpass_frequency")[place])
-
-
 def _tables(scenarios: Sequence[Scenario]) -> tuple[NonlinearDynamics, CoupledPlant, FloatArray]:
     """Return the update of N tables, their plants stacked, and the scale (N, states) of each state.
 
-    Nonlinear parts are common to a batch. Two of their values are not: a state that is measured in
-    units of the yield drift, or of the supply pressure, has the same nonlinear part in every lane. The
-    matrices of each lane are put into such units; states are divided by `scale` to be SI.
+    Nonlinear parts are common to a batch, but for friction and supply pressure. The yield drift is
+    another value of each lane: states measured in units of it have the same nonlinear part in every
+    lane. The matrices of each lane are put into such units; states are divided by `scale` to be SI.
     """
     first = scenarios[0]
     plant = CoupledPlant(
@@ -125,10 +106,15 @@ def _tables(scenarios: Sequence[Scenario]) -> tuple[NonlinearDynamics, CoupledPl
     )
     k, parts = first.substeps, first.parts
     longest = max(each.longest_delay for each in scenarios)
-    dynamics = NonlinearDynamics.of(plant, parts, first.physics_step, k, longest_delay=longest)
+    dynamics = NonlinearDynamics.of(
+        plant, parts, first.physics_step, k,
+        longest_delay=longest, low_passes=first.observation.low_passes,
+    )  # fmt: skip
+    missing = np.array([each.nonlinearity.valve.missing for each in scenarios])
     commands = commands_under_way(longest, k)
     dynamics = replace(
         dynamics,
+        valve=np.concatenate([dynamics.valve[:, :2], missing[:, None]], axis=1),
         coulomb=np.array([each.nonlinearity.friction.coulomb for each in scenarios]),
         arrival=np.stack([arrival(each.delay, k, commands) for each in scenarios]),
     )
@@ -139,9 +125,6 @@ def _tables(scenarios: Sequence[Scenario]) -> tuple[NonlinearDynamics, CoupledPl
         drift = np.array([each.nonlinearity.yielding.yield_drift for each in scenarios])
         scale[:, 4 : 4 + 3 * n] = (parts.yielding.yield_drift / drift)[:, None]
         scale_g[:, 3 : 3 + n] = scale[:, 4, None]
-    if math.isfinite(parts.valve.supply_pressure):
-        supply = np.array([each.nonlinearity.valve.supply_pressure for each in scenarios])
-        scale[:, LOAD_PRESSURE] = parts.valve.supply_pressure / supply
     own, ones = scale[:, :m], np.ones((len(scenarios), 1))
     columns = np.concatenate([own, ones, scale_g], axis=1)
     dynamics = replace(

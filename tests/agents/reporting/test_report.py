@@ -13,6 +13,7 @@ from plotly.offline import get_plotlyjs
 
 from agents.__main__ import main
 from agents.evaluation.comparison import compare
+from agents.reporting.comparison_tables import print_tables
 from agents.reporting.report import (
     HistoryCollector,
     channels,
@@ -24,6 +25,7 @@ from agents.reporting.report_data import page_data
 from agents.reporting.report_estimates import Drawn, TransferEstimate, lqr_frontier
 from agents.reporting.report_page import page, unbroken, write_report
 from agents.reporting.report_traces import BUDGET, LEVELS, Curves, pack, pack_all, unpack
+from agents.reporting.terminal import OutputConsole
 from agents.run_directory import learning_curve
 from baselines.lqr.sampled import lqr
 from shake_env import make_scenario
@@ -266,6 +268,22 @@ def test_names_cannot_break_out_of_the_page(linear, hostile):
     data = re.search(r'id="report-data">(.*?)</script>', text, re.DOTALL)[1]
     assert "<" not in data
     assert hostile in json.dumps(json.loads(data), ensure_ascii=False).replace('\\"', '"')
+
+
+def test_a_table_driven_in_volts_is_told_in_volts(capsys):
+    scenario = make_scenario("laboratory", {"table": "quanser-shake-table-ii", "duration": 1.0})
+    report = reported(scenario, noise=2, records=False)
+    (row,) = [s for s in report.comparison.summaries if s.controller == "lqg"]
+    text = page(report, [])
+    assert "input [V]" in text and "mA" not in re.sub(r"<script.*?</script>", "", text, flags=re.S)
+    assert f"<td>{row.peak_current:.2f}</td>" in text
+    panel = next(c for c in report.channels if c.key == "current")
+    assert (panel.title, panel.unit, panel.limit) == ("input", "V", scenario.current_limit)
+    print_tables(report.comparison, OutputConsole(force_terminal=False, width=200))
+    shown = capsys.readouterr().out
+    assert "input V" in shown and "mA" not in shown and f"{row.peak_current:.2f}" in shown
+    frame = report.comparison.to_frame("summaries")
+    assert frame.attrs["units"]["peak_current"] == "V"
 
 
 def test_limits_stand_with_their_panels():

@@ -187,7 +187,8 @@ def test_foresight_is_the_conditional_mean(delay, preview, spacing):
         map_now, spread = row @ ahead[:w], row @ covariance[:w, :w] @ row
         error = target[:, int(delay) - 1] - known @ map_now
         assert np.mean(error**2) == pytest.approx(spread, rel=0.08, abs=1e-12)
-        assert np.all(np.abs(np.corrcoef(error, known.T)[0, 1:]) < 4.5 / math.sqrt(lanes))
+        if spread > 1e-10:  # else it is a sample of the preview, and the error is rounding
+            assert np.all(np.abs(np.corrcoef(error, known.T)[0, 1:]) < 4.5 / math.sqrt(lanes))
     if not len(rows):
         return
     error = truth - known @ ahead[rows].T
@@ -204,12 +205,12 @@ def test_the_preview_on_the_physics_grid_keeps_what_is_known():
     assert laboratory.observation.preview_samples == 100 and laboratory.delay == 0.0
     assert laboratory.observation.preview_spacing == 1
     whole = full_state(replace(make_scenario("laboratory"), delay=5.0))
-    assert whole.observation.preview_samples == 20
+    assert whole.observation.preview_samples == 100
     # Samples that are known come back as they are, from a delay of one period on.
     scenario = replace(make_scenario("laboratory"), delay=5.0)
     ahead, _ = foresight(scenario, whole)
     first = scenario.plant.layout.filter_states + 2 * scenario.plant.layout.stories
-    assert ahead[first : first + 19, first + 1 :] == pytest.approx(np.eye(19), abs=1e-6)
+    assert ahead[first : first + 95, first + 5 :] == pytest.approx(np.eye(95), abs=1e-6)
 
 
 # -- separation --------------------------------------------------------------------------------------

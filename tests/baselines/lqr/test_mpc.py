@@ -18,7 +18,7 @@ LABORATORY = {
     "limits": "laboratory",
     "amplitude": 0.5,
     "current_limit": 0.04,
-    "sensing": Sensing(preview=0.1),
+    "sensing": Sensing(preview=0.1, preview_spacing=0.005),
 }
 
 

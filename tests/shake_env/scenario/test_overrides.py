@@ -98,6 +98,16 @@ def test_command_line_assignments():
     assert built.nonlinearity.friction.coulomb == 42 and built.delay == 3.0
 
 
+def test_a_table_as_a_field_is_refused_for_it_changes_a_name_alone():
+    for scenario in ("linear", "laboratory"):
+        with pytest.raises(ScenarioError, match="--table NAME"):
+            make_scenario(scenario, {"fields": {"table": "lnec-uniaxial"}})
+    own = make_scenario("laboratory", {"fields": {"table": "gavin-hoagg-2009"}})  # as it is
+    assert own == make_scenario("laboratory")
+    lnec = make_scenario("laboratory", {"table": "lnec-uniaxial"})
+    assert make_scenario(lnec, {"fields": {"table": "lnec-uniaxial"}}) == lnec
+
+
 def test_a_record_for_a_limited_table_is_scaled_to_it_unless_told():
     name = RECORD_NAMES[0]
     fitted = make_scenario("laboratory", {"record": name}).motion
