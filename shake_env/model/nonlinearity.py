@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import array_api_compat
+import numpy as np
 
 from shake_env.errors import ParameterError
 from shake_env.model.ranges import check_ranges
@@ -105,15 +106,20 @@ class ServoValve:
     @property
     def rated(self) -> float:
         """Supply pressure [Pa] that the flow gain belongs to."""
-        linear = self.rated_pressure is None or math.isinf(self.supply_pressure)
-        return self.supply_pressure if linear else float(self.rated_pressure or 0.0)
+        if self.rated_pressure is None or self._unlimited:
+            return self.supply_pressure
+        return self.rated_pressure
 
     @property
     def missing(self) -> float:
         """What the supply is short of its rated pressure [Pa]."""
-        if self.rated_pressure is None or math.isinf(self.supply_pressure):
+        if self.rated_pressure is None or self._unlimited:
             return 0.0
         return self.rated_pressure - self.supply_pressure
+
+    @property
+    def _unlimited(self) -> bool:
+        return bool(np.all(np.isinf(self.supply_pressure)))  # one, or one a plant
 
     @property
     def flow_active(self) -> bool:

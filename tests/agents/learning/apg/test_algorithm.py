@@ -286,7 +286,7 @@ def test_another_environment_is_refused_with_the_remedy():
 
 @pytest.mark.parametrize("memory", [False, True])
 def test_a_step_that_would_cost_its_own_window_more_is_halved_or_dropped(memory):
-    model = model_on(make_scenario("linear"), memory=memory)
+    model = model_on(make_scenario("linear"), memory=memory, terminal_value=False)
     for _ in range(4):  # away from rest
         _, window, _ = model.window_loss()
         model.tables.sync_env(window)
