@@ -49,12 +49,12 @@ def supervisor_block(supervised: Supervised, inner: Block) -> Block:
     numbers: dict[str, Any] = {
         "n": size,
         "s": len(channels.names),
+        "states": len(observer.size),
         "h": h,
         "m": prediction.carry.shape[1],
         "c": len(prediction.feedback) - ACTUATOR,
         "columns": columns,
         "rows_count": rows,
-        "lead": channels.lead,
         "rare": -math.log10(CHANCE),
         "gate": GATE,
         "fading": FADING,

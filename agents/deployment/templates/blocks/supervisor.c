@@ -14,22 +14,20 @@
     real specimens[{{ b.h * b.m }}]; /* relative displacements and velocities of each */
     real force[{{ b.h }}]; /* on the table, besides that specimen's [N] */
     int started;
-    /* Kalman filter of the readings; scaled. */
-    real state[5];
-    real covariance[25];
+    /* Kalman filter of the readings; scaled. x_A, the force, and the accelerometer's low-pass, if any. */
+    real state[{{ b.states }}];
+    real covariance[{{ b.states * b.states }}];
     real before[{{ b.s }}]; /* readings of the period before [SI] */
     int has_before[{{ b.s }}];
     int equal[{{ b.s }}]; /* readings in a row that were equal */
     int faulty[{{ b.s }}]; /* readings of that period that were left out */
-{% if b.s > 4 %}
-    real filtered; /* the accelerometer's last reading [m/s^2] */
-{% endif %}
     real misfit[4]; /* recent innovations that noise does not explain [SI] */
     real held[{{ b.n }}]; /* last finite value of each entry of the observation */
     {{ b.inner.type }} inner;
 {% endmacro %}
 {% macro code(b) %}
 {% set N = b.name %}
+{% set S = b.states %}
 /* Table and covariance of the filter at rest, no commands under way. */
 static void {{ N }}_reset({{ b.type }} *s)
 {
@@ -39,10 +37,10 @@ static void {{ N }}_reset({{ b.type }} *s)
     fill(s->force, {{ b.h }}, {{ 0.0|real }});
     s->velocity = {{ 0.0|real }};
     s->started = 0;
-    fill(s->state, 5, {{ 0.0|real }});
-    fill(s->covariance, 25, {{ 0.0|real }});
-    for (int i = 0; i < 5; i++) {
-        s->covariance[6 * i] = {{ N }}_rest[i];
+    fill(s->state, {{ S }}, {{ 0.0|real }});
+    fill(s->covariance, {{ S * S }}, {{ 0.0|real }});
+    for (int i = 0; i < {{ S }}; i++) {
+        s->covariance[{{ S + 1 }} * i] = {{ N }}_rest[i];
     }
     for (int i = 0; i < {{ b.s }}; i++) {
         s->before[i] = {{ 0.0|real }};
@@ -50,9 +48,6 @@ static void {{ N }}_reset({{ b.type }} *s)
         s->equal[i] = 0;
         s->faulty[i] = 0;
     }
-{% if b.s > 4 %}
-    s->filtered = {{ 0.0|real }};
-{% endif %}
     fill(s->misfit, 4, {{ 0.0|real }});
     fill(s->held, {{ b.n }}, {{ 0.0|real }});
     {{ b.inner.name }}_reset(&s->inner);
@@ -99,34 +94,29 @@ static void {{ N }}_credible({{ b.type }} *s, const real *readings, int *faulty)
 static void {{ N }}_look({{ b.type }} *s, const real *readings, int *faulty, real *table, real *deviation,
     real *expected)
 {
-    real innovation[{{ b.s }}], spread[{{ 5 * b.s }}], size[{{ b.s }}], correlation[{{ b.s * b.s }}];
-    real W[{{ b.s * b.s }}], e[{{ b.s }}], y[{{ b.s }}], K[{{ 5 * b.s }}], left[25], half[25], joined[25];
+    real innovation[{{ b.s }}], spread[{{ S * b.s }}], size[{{ b.s }}], correlation[{{ b.s * b.s }}];
+    real W[{{ b.s * b.s }}], e[{{ b.s }}], y[{{ b.s }}], K[{{ S * b.s }}];
+    real left[{{ S * S }}], half[{{ S * S }}], joined[{{ S * S }}];
     int fits = 1;
 
     {{ N }}_credible(s, readings, faulty);
-    product({{ N }}_C, {{ b.s }}, 5, s->state, innovation);
+    product({{ N }}_C, {{ b.s }}, {{ S }}, s->state, innovation);
     for (int i = 0; i < {{ b.s }}; i++) {
-        real value = readings[i];
+        const real value = isfinite(readings[i]) ? readings[i] : {{ 0.0|real }};
 
-{% if b.s > 4 %}
-        if (i == 4) { /* undo the accelerometer's low-pass */
-            value += {{ b.lead|real }} * (value - s->filtered);
-        }
-{% endif %}
-        value = isfinite(value) ? value : {{ 0.0|real }};
         innovation[i] = value / {{ N }}_unit[i] - innovation[i];
     }
-    for (int i = 0; i < 5; i++) {
+    for (int i = 0; i < {{ S }}; i++) {
         for (int j = 0; j < {{ b.s }}; j++) {
-            spread[i * {{ b.s }} + j] = dot(&s->covariance[5 * i], &{{ N }}_C[5 * j], 5);
+            spread[i * {{ b.s }} + j] = dot(&s->covariance[{{ S }} * i], &{{ N }}_C[{{ S }} * j], {{ S }});
         }
     }
     for (int i = 0; i < {{ b.s }}; i++) {
         for (int j = 0; j < {{ b.s }}; j++) {
             real sum = (i == j) ? {{ N }}_R[i] : {{ 0.0|real }};
 
-            for (int k = 0; k < 5; k++) {
-                sum += {{ N }}_C[5 * i + k] * spread[k * {{ b.s }} + j];
+            for (int k = 0; k < {{ S }}; k++) {
+                sum += {{ N }}_C[{{ S }} * i + k] * spread[k * {{ b.s }} + j];
             }
             correlation[i * {{ b.s }} + j] = sum;
         }
@@ -164,13 +154,13 @@ static void {{ N }}_look({{ b.type }} *s, const real *readings, int *faulty, rea
             }
         }
     }
-    for (int i = 0; i < 5; i++) {
+    for (int i = 0; i < {{ S }}; i++) {
         for (int j = 0; j < {{ b.s }}; j++) {
             spread[i * {{ b.s }} + j] = (faulty[j] == 0) ? spread[i * {{ b.s }} + j] / size[j] : {{ 0.0|real }};
         }
         s->state[i] += dot(&spread[i * {{ b.s }}], y, {{ b.s }});
     }
-    for (int i = 0; i < 5; i++) {
+    for (int i = 0; i < {{ S }}; i++) {
         for (int j = 0; j < {{ b.s }}; j++) {
             real sum = {{ 0.0|real }};
 
@@ -181,26 +171,26 @@ static void {{ N }}_look({{ b.type }} *s, const real *readings, int *faulty, rea
         }
     }
     /* Joseph's form, which rounding leaves positive. */
-    for (int i = 0; i < 5; i++) {
-        for (int j = 0; j < 5; j++) {
+    for (int i = 0; i < {{ S }}; i++) {
+        for (int j = 0; j < {{ S }}; j++) {
             real sum = (i == j) ? {{ 1.0|real }} : {{ 0.0|real }};
 
             for (int k = 0; k < {{ b.s }}; k++) {
-                sum -= K[i * {{ b.s }} + k] * {{ N }}_C[5 * k + j];
+                sum -= K[i * {{ b.s }} + k] * {{ N }}_C[{{ S }} * k + j];
             }
-            left[5 * i + j] = sum;
+            left[{{ S }} * i + j] = sum;
         }
     }
-    multiply(left, s->covariance, 5, 5, 5, half);
-    for (int i = 0; i < 5; i++) {
-        for (int j = 0; j < 5; j++) {
-            joined[5 * i + j] = dot(&half[5 * i], &left[5 * j], 5);
+    multiply(left, s->covariance, {{ S }}, {{ S }}, {{ S }}, half);
+    for (int i = 0; i < {{ S }}; i++) {
+        for (int j = 0; j < {{ S }}; j++) {
+            joined[{{ S }} * i + j] = dot(&half[{{ S }} * i], &left[{{ S }} * j], {{ S }});
             for (int k = 0; k < {{ b.s }}; k++) {
-                joined[5 * i + j] += K[i * {{ b.s }} + k] * {{ N }}_R[k] * K[j * {{ b.s }} + k];
+                joined[{{ S }} * i + j] += K[i * {{ b.s }} + k] * {{ N }}_R[k] * K[j * {{ b.s }} + k];
             }
         }
     }
-    copy(joined, s->covariance, 25);
+    copy(joined, s->covariance, {{ S * S }});
     for (int i = 0; i < 4; i++) {
         fits = fits && faulty[i] == 0;
     }
@@ -212,9 +202,9 @@ static void {{ N }}_look({{ b.type }} *s, const real *readings, int *faulty, rea
         }
         s->misfit[i] = larger({{ b.fading|real }} * s->misfit[i], unexplained);
         table[i] = (fits != 0) ? readings[i] : {{ N }}_size[i] * s->state[i];
-        deviation[i] = (fits != 0) ? {{ 0.0|real }} : {{ N }}_size[i] * real_sqrt(larger(s->covariance[6 * i], {{ 0.0|real }}));
+        deviation[i] = (fits != 0) ? {{ 0.0|real }} : {{ N }}_size[i] * real_sqrt(larger(s->covariance[{{ S + 1 }} * i], {{ 0.0|real }}));
     }
-    product({{ N }}_C, {{ b.s }}, 5, s->state, expected);
+    product({{ N }}_C, {{ b.s }}, {{ S }}, s->state, expected);
     for (int i = 0; i < {{ b.s }}; i++) {
         expected[i] *= {{ N }}_unit[i];
         if (isfinite(readings[i])) {
@@ -224,36 +214,33 @@ static void {{ N }}_look({{ b.type }} *s, const real *readings, int *faulty, rea
         s->faulty[i] = faulty[i];
         s->faults[i] += (faulty[i] != 0) ? 1 : 0;
     }
-{% if b.s > 4 %}
-    s->filtered = (faulty[4] != 0) ? expected[4] : readings[4];
-{% endif %}
 }
 
 /* State and covariance of the next period, under the commands (oldest first, the present one last). */
 static void {{ N }}_predict({{ b.type }} *s, const real *queue, real flow)
 {
-    real state[5], errors[15], half[25], next[25], held;
+    real state[{{ S }}], errors[{{ 3 * S }}], half[{{ S * S }}], next[{{ S * S }}], held;
     const real late = {{ b.delay_error|real }} * (queue[{{ b.c }}] - queue[0]);
 
-    product({{ N }}_A, 5, 5, s->state, state);
-    for (int i = 0; i < 5; i++) {
+    product({{ N }}_A, {{ S }}, {{ S }}, s->state, state);
+    for (int i = 0; i < {{ S }}; i++) {
         held = dot(&{{ N }}_current[i * {{ b.c + 1 }}], queue, {{ b.c + 1 }});
         state[i] += held + flow * {{ N }}_flow[i];
         errors[3 * i] = {{ b.gain_error|real }} * held;
         errors[3 * i + 1] = late * {{ N }}_current_sum[i];
     }
-    for (int i = 0; i < 5; i++) {
+    for (int i = 0; i < {{ S }}; i++) {
         errors[3 * i + 2] = (state[0] - s->state[0]) * {{ N }}_oil[i];
     }
-    multiply({{ N }}_A, s->covariance, 5, 5, 5, half);
-    for (int i = 0; i < 5; i++) {
-        for (int j = 0; j < 5; j++) {
-            next[5 * i + j] = dot(&half[5 * i], &{{ N }}_A[5 * j], 5) + {{ N }}_Q[5 * i + j]
+    multiply({{ N }}_A, s->covariance, {{ S }}, {{ S }}, {{ S }}, half);
+    for (int i = 0; i < {{ S }}; i++) {
+        for (int j = 0; j < {{ S }}; j++) {
+            next[{{ S }} * i + j] = dot(&half[{{ S }} * i], &{{ N }}_A[{{ S }} * j], {{ S }}) + {{ N }}_Q[{{ S }} * i + j]
                 + dot(&errors[3 * i], &errors[3 * j], 3);
         }
     }
-    copy(state, s->state, 5);
-    copy(next, s->covariance, 25);
+    copy(state, s->state, {{ S }});
+    copy(next, s->covariance, {{ S * S }});
 }
 
 /* What the velocity says of the specimens and of the forces on the table. */
