@@ -136,15 +136,29 @@ class _Process:
     def covariance(
         self, left: list[tuple[float, FloatArray]], right: list[tuple[float, FloatArray]]
     ) -> FloatArray:
-        """Return the covariance of two lists of outputs that the noise makes."""
+        """Return the covariance of two lists of outputs that the noise makes.
 
-        def block(t: float, C: FloatArray, s: float, D: FloatArray) -> FloatArray:
-            if s > t:
-                return block(s, D, t, C).T
-            product: FloatArray = C @ self._transition(t - s) @ self._spread(s) @ D.T
-            return product
+        At times t >= s it is ``C Phi(t - s) P(s) D'``, P(s) the state's covariance at s.
+        """
+        (t, C), (s, D) = self._listed(left), self._listed(right)
+        if not len(t) or not len(s):
+            return np.zeros((len(t), len(s)))
+        gaps = np.round(np.subtract.outer(t, s), 12)
+        lags, place = np.unique(np.abs(gaps), return_inverse=True)
+        place = place.reshape(gaps.shape)
+        moves = np.stack([self._transition(float(lag)) for lag in lags])
+        i, j = np.arange(len(t))[:, None], np.arange(len(s))
+        spread_C, spread_D = (
+            np.stack([self._spread(float(time)) @ row for time, row in zip(times, rows, strict=True)])
+            for times, rows in ((t, C), (s, D))
+        )
+        moved_C, moved_D = (np.einsum("an,lnm->alm", rows, moves) for rows in (C, D))
+        later = np.einsum("abm,bm->ab", moved_C[i, place], spread_D)
+        earlier = np.einsum("abm,am->ab", moved_D[j, place], spread_C)
+        covariance: FloatArray = np.where(gaps >= 0.0, later, earlier)
+        return covariance
 
-        if not left or not right:
-            height = sum(len(rows) for _, rows in left)
-            return np.zeros((height, sum(len(rows) for _, rows in right)))
-        return np.block([[block(t, C, s, D) for s, D in right] for t, C in left])
+    def _listed(self, outputs: list[tuple[float, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+        """Return the time of each row (a,) and the rows (a, n)."""
+        times = [time for time, rows in outputs for _ in rows]
+        return np.array(times), np.vstack([np.zeros((0, len(self._A))), *(rows for _, rows in outputs)])
