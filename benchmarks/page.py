@@ -107,16 +107,11 @@ def _learning(found: dict[str, Any]) -> list[str]:
     ]
     lines = table(("PPO, 64 tables", "of roll-outs", "of all time", "a period"), rows)
     ours, theirs = (found["samples/s"][name] for name in ("linear", "CartPole-v1"))
-    lines += [
-        "",
-        *wrap(
-            f"PPO of the same size and settings, whole, by the wall clock: {ours:,.0f} samples a second "
-            f"on `linear`, {theirs:,.0f} on SB3's CartPole-v1 ({ours / theirs:.1f} times).".replace(
-                ",", " "
-            ),
-            118,
-        ),
-    ]
+    whole = (
+        f"PPO of the same size and settings, whole, by the wall clock: {number(ours)} samples a second on "
+        f"`linear`, {number(theirs)} on SB3's CartPole-v1 ({ours / theirs:.1f} times)."
+    )
+    lines += ["", *wrap(whole, 118)]
     for name, ways in found["gradient"].items():
         windows = list(ways["forward"]["seconds"])
         forward = ways["forward"]["seconds"]
