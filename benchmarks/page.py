@@ -108,8 +108,8 @@ def _learning(found: dict[str, Any]) -> list[str]:
     lines = table(("PPO, 64 tables", "of roll-outs", "of all time", "a period"), rows)
     ours, theirs = (found["samples/s"][name] for name in ("linear", "CartPole-v1"))
     whole = (
-        f"PPO of the same size and settings, whole, by the wall clock: {number(ours)} samples a second on "
-        f"`linear`, {number(theirs)} on SB3's CartPole-v1 ({ours / theirs:.1f} times)."
+        f"PPO of the same size and settings, whole, by the wall clock: {number(ours)} samples a second "
+        f"on `linear`, {number(theirs)} on SB3's CartPole-v1 ({ours / theirs:.1f} times)."
     )
     lines += ["", *wrap(whole, 118)]
     for name, ways in found["gradient"].items():
