@@ -18,7 +18,7 @@ from shake_env.motion.processing import fit_amplitude, remove_baseline
 from shake_env.motion.targets import RecordedMotion
 from shake_env.records import read_motion
 from shake_env.scenario.capacity import scenario_capacity
-from shake_env.scenario.plant_samples import read_samples
+from shake_env.scenario.plants.samples import read_samples
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty
 

@@ -21,8 +21,8 @@ from shake_env.motion.targets import FilteredNoise, Motion, MotionSet, RecordedM
 from shake_env.scenario.limits import Limits
 from shake_env.scenario.objective import Objective, StageCost
 from shake_env.scenario.observation import ObservationLayout, Sensing
-from shake_env.scenario.plant_samples import PlantSamples
-from shake_env.scenario.plant_values import with_specimen_values
+from shake_env.scenario.plants.samples import PlantSamples
+from shake_env.scenario.plants.values import with_specimen_values
 from shake_env.scenario.tables.table import DEFAULT_TABLE, TABLE_NAMES, named_table
 from shake_env.scenario.uncertainty import MASS_FACTOR, STIFFNESS_FACTOR, Uncertainty
 
@@ -163,7 +163,7 @@ class Scenario:
     def with_plant(self, values: Mapping[str, float]) -> Scenario:
         """Return this scenario with these values of its uncertain parameters, by their names.
 
-        Beside those of `Uncertainty` these are all of the actuator and of `plant_values`, and
+        Beside those of `Uncertainty` these are all of the actuator and of `plants.values`, and
         ``yield_drift`` and ``supply_pressure``.
         """
         changes: dict[str, Any] = {}

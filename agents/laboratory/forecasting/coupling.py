@@ -17,7 +17,7 @@ from agents.laboratory.forecasting.quantities import Outcomes
 from shake_env.model.parameters import FloatArray, Specimen
 from shake_env.model.plant import specimen_plant
 from shake_env.motion.targets import RecordedMotion, target_history
-from shake_env.scenario.plant_values import specimen_values, with_specimen_values
+from shake_env.scenario.plants.values import specimen_values, with_specimen_values
 from shake_env.scenario.scenario import Scenario
 
 TOLERANCE = 0.05  # of the specimen's response: more, put down to the specimen, is too much

@@ -21,7 +21,7 @@ from shake_env.errors import ParameterError, ScenarioError
 from shake_env.model.parameters import FloatArray
 from shake_env.motion.targets import MotionSet
 from shake_env.rollout import Earthquake, rollout
-from shake_env.scenario.plant_samples import PlantSamples
+from shake_env.scenario.plants.samples import PlantSamples
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty
 from shake_env.simulation.engine import BoolArray

@@ -14,7 +14,7 @@ import numpy as np
 
 from shake_env.errors import ParameterError, ScenarioError, unknown
 from shake_env.model.parameters import FloatArray
-from shake_env.scenario.plant_values import (
+from shake_env.scenario.plants.values import (
     DAMPING,
     MASS,
     STIFFNESS,

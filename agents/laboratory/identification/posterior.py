@@ -18,7 +18,7 @@ from shake_env.errors import FileError, ShakeError
 from shake_env.files import write_text
 from shake_env.model.parameters import FloatArray
 from shake_env.scenario.digest import scenario_digest
-from shake_env.scenario.plant_samples import FORMAT, VERSION, PlantSamples, read_posterior_file
+from shake_env.scenario.plants.samples import FORMAT, VERSION, PlantSamples, read_posterior_file
 from shake_env.scenario.scenario import Scenario
 
 WIDEST = (

@@ -22,7 +22,7 @@ from agents.laboratory.sequence.state import Sequence, Shake
 from shake_env.errors import LogError, ParameterError
 from shake_env.model.parameters import FloatArray
 from shake_env.motion.targets import MotionSet
-from shake_env.scenario.plant_samples import PlantSamples
+from shake_env.scenario.plants.samples import PlantSamples
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.scenario_writer import write_scenario
 from shake_env.scenario.uncertainty import Uncertainty

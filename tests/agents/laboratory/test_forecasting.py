@@ -18,7 +18,7 @@ from shake_env.errors import ParameterError, ScenarioError
 from shake_env.motion.targets import RecordedMotion, target_history
 from shake_env.rollout import Earthquake, rollout
 from shake_env.scenario.overrides import make_scenario
-from shake_env.scenario.plant_samples import PlantSamples
+from shake_env.scenario.plants.samples import PlantSamples
 
 
 def belief(shares=(), seconds=3.0, amplitude=0.22):

@@ -24,8 +24,8 @@ from shake_env.errors import FileError, LogError, ParameterError
 from shake_env.motion.targets import RecordedMotion
 from shake_env.rollout import Earthquake, rollout
 from shake_env.scenario.overrides import make_scenario
-from shake_env.scenario.plant_samples import PlantSamples
-from shake_env.scenario.plant_values import with_specimen_values
+from shake_env.scenario.plants.samples import PlantSamples
+from shake_env.scenario.plants.values import with_specimen_values
 from shake_env.scenario.scenario_file import read_scenario, scenario_fields, scenario_of
 from shake_env.scenario.scenario_writer import write_scenario
 

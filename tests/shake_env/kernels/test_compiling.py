@@ -66,7 +66,7 @@ def test_other_processors_step_alike(processor, tmp_path):
     info = Path("/proc/cpuinfo")
     flags = info.read_text(encoding="utf-8") if info.exists() else ""
     if {"x86-64": "sse2", "x86-64-v3": "avx2", "x86-64-v4": "avx512vl"}[processor] not in flags:
-        # Its instructions would end the process.
+        # Instructions that the processor lacks would end the process: it cannot be tried here.
         pytest.skip("this machine has no such registers")
     features = {"x86-64": "+sse2", "x86-64-v3": "+avx2,+fma", "x86-64-v4": "+avx512f"}[processor]
     found = start(COMPARE, tmp_path, NUMBA_CPU_NAME=processor, NUMBA_CPU_FEATURES=features)
