@@ -24,7 +24,7 @@ from baselines.lqr.feedforward import FeedforwardLQR
 from baselines.lqr.preview import PreviewFeedback
 from baselines.planning.episodes import Episode, driven, episodes
 from baselines.planning.model import Plan
-from shake_env.controller import Controller
+from shake_env.controller import Controller, decide
 from shake_env.model.parameters import FloatArray
 from shake_env.rollout import Earthquake
 from shake_env.scenario.scenario import Scenario
@@ -106,7 +106,7 @@ class _Share:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
         """Return the share of the law's action (..., 1)."""
-        action, memory = self._law.predict(observation, state, episode_start, deterministic)
+        action, memory = decide(self._law, observation, state, episode_start, deterministic)
         return np.float32(self._share) * action, memory
 
 

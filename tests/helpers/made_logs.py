@@ -5,9 +5,10 @@ from functools import cache
 
 import numpy as np
 
-from agents.laboratory.logs.other_plant import OnOtherPlant
+from agents.evaluation.perturbations import observation_rescaling
 from agents.laboratory.logs.recorder import LogRecorder
 from agents.laboratory.logs.test_log import TestLog
+from baselines.batch_controllers import Rescaled
 from baselines.registry import make_baseline
 from shake_env.motion.targets import FilteredNoise
 from shake_env.rollout import Earthquake, rollout
@@ -25,7 +26,7 @@ def made(scenario: Scenario, driven=None, seconds=4.0, amplitude=0.22, seed=3, n
     recorder = LogRecorder(scenario, quake, plant=driven)
     controller = make_baseline(name, scenario)
     if driven is not None:
-        controller = OnOtherPlant(controller, scenario, driven)
+        controller = Rescaled(controller, observation_rescaling(driven, scenario))
     rollout(controller, scenario if driven is None else driven, quake, log=recorder)
     return recorder.logs()[0]
 

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from scipy.stats import kstest
 
+from agents.evaluation.perturbations import observation_rescaling
 from agents.laboratory.identification.identify import identify
 from agents.laboratory.identification.parameters import default_prior, from_scale, plants
-from agents.laboratory.logs.other_plant import OnOtherPlant
 from agents.laboratory.logs.recorder import LogRecorder
+from baselines.batch_controllers import Rescaled
 from baselines.registry import make_baseline
 from shake_env.errors import ShakeError
 from shake_env.motion.targets import FilteredNoise
@@ -74,7 +75,7 @@ def calibrate(
         recorder = LogRecorder(plain, quake, plant=truth)
         driver: Any = NoiseCurrent(int(stream.integers(2**31)), round(seconds * plain.control_rate))
         if controller != "none":
-            driver = OnOtherPlant(make_baseline(controller, plain), plain, truth)
+            driver = Rescaled(make_baseline(controller, plain), observation_rescaling(truth, plain))
         rollout(driver, truth, quake, log=recorder)
         begun = time.perf_counter()
         try:

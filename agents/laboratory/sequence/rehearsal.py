@@ -11,14 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from agents.evaluation.perturbations import observation_rescaling
 from agents.laboratory.forecasting.quantities import OutcomeRecorder, Outcomes
 from agents.laboratory.identification.parameters import default_prior, plants
-from agents.laboratory.logs.other_plant import OnOtherPlant
 from agents.laboratory.logs.recorder import LogRecorder
 from agents.laboratory.logs.test_log import TestLog
 from agents.laboratory.sequence.state import Sequence
 from agents.laboratory.sequence.steps import close_shake, designed_on, next_shake, plan
 from agents.policies.registry import get_controller
+from baselines.batch_controllers import Rescaled
 from shake_env.controller import Controller
 from shake_env.errors import ShakeError
 from shake_env.model.parameters import Specimen
@@ -207,7 +208,8 @@ def shake(design: Scenario, truth: Scenario, name: str, seed: int) -> tuple[Test
             recorder.add(result, running)
             outcome.add(result, running)
 
-    rollout(OnOtherPlant(controller, design, plant), plant, quakes, log=Both())
+    driver = Rescaled(controller, observation_rescaling(plant, design))
+    rollout(driver, plant, quakes, log=Both())
     return recorder.logs()[0], outcome.outcomes()
 
 
