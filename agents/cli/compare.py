@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
+from agents.acceptance.options import AcceptanceOptions
 from agents.cli.command_options import FolderOptions, tuned_values
 from agents.cli.output_path import output_folder
 from agents.motions.channels import MotionOptions, motion_earthquakes
@@ -39,6 +40,7 @@ class Compare(FolderOptions):
       shake compare --controllers lqr ppo runs/mine --num-noise-motions 100 --output out/mine
       shake compare --motion CICLC.v1 --num-noise-motions 0 --no-records
       shake compare --report out/report
+      shake compare --report out/report --acceptance.spectrum ac156 --acceptance.s-ds 0.5
       shake compare --json > comparison.json
     """
 
@@ -73,6 +75,7 @@ class Compare(FolderOptions):
     earthquake, up to 10 s of a record. What was computed is kept in the user's cache."""
     report: Path | None = None
     """Folder for a report: one page to open in a browser, and its figures as SVG and PNG."""
+    acceptance: AcceptanceOptions = field(default_factory=AcceptanceOptions)
     logs: Path | None = None
     """Folder for the log of every test as HDF5: what the sensors read, as shake identify takes it. The
     tests are run again for it."""
@@ -84,8 +87,8 @@ class Compare(FolderOptions):
         """Compare, print, write."""
         from agents.evaluation.comparison import compare
         from agents.reporting.comparison_tables import print_tables, print_verdict, write_files
-        from agents.reporting.report import HistoryCollector, make_report
-        from agents.reporting.report_page import write_report
+        from agents.reporting.report.contents import HistoryCollector, make_report
+        from agents.reporting.report.page import write_report
         from agents.reporting.robustness_tables import read_robustness
         from shake_env.rollout import recorded_earthquakes
 
@@ -99,7 +102,10 @@ class Compare(FolderOptions):
             output_folder(self.report, self.report, force=self.force, field="report")
         if self.logs is not None:
             output_folder(self.logs, self.logs, force=self.force, field="logs")
-        gathered = None if self.report is None else HistoryCollector(scenario)
+        if self.acceptance.spectrum is not None and self.report is None:
+            remedy = "is shown in a report: give --report, or take shake accept for a file"
+            raise ParameterError("acceptance.spectrum", self.acceptance.spectrum, remedy)
+        gathered = None if self.report is None else HistoryCollector(scenario, self.acceptance)
         unlike = None if self.robustness is None else read_robustness(self.robustness, scenario.name)
         if unlike is not None and gathered is None:
             raise ParameterError(

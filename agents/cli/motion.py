@@ -13,8 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 
 import shake_env
-from agents.acceptance.required import RequiredSpectrum, ac156, ieee_693, read_required_spectrum
-from agents.acceptance.rules import AcceptanceRules
+from agents.acceptance.options import AcceptanceOptions
 from agents.cli.command_options import CommandOptions
 from agents.motions.channels import Channel, MotionOptions, _beyond, channels, reading
 from agents.reporting.terminal import print_table
@@ -144,23 +143,13 @@ class Accept(CommandOptions):
 
     files: tyro.conf.Positional[tuple[Path, ...]] = ()
     """Files of the table's measured acceleration; each channel is a direction."""
-    spectrum: str = "ac156"
-    """Required spectrum: ac156, ieee693, or a CSV file of frequency [Hz] and acceleration."""
-    s_ds: float = 1.0
-    """S_DS of AC156 [g]."""
-    z_over_h: float = 1.0
-    """z/h of AC156, 0 at grade to 1 at the roof."""
-    level: str = "high"
-    """Level of IEEE 693: moderate, high, high-performance."""
-    spectrum_units: str = "g"
-    """Unit of the accelerations of a spectrum's file: g or m/s^2."""
-    damping: float = 0.05
-    """Damping ratio of IEEE 693's spectrum, or of a file's."""
+    acceptance: Annotated[AcceptanceOptions, tyro.conf.arg(name="")] = field(
+        default_factory=lambda: AcceptanceOptions(spectrum="ac156")
+    )
     make: Path | None = None
     """CSV file for an input motion compatible with the spectrum; nothing is then read."""
     seed: int = 0
     """Seed of that motion's phases."""
-    rules: AcceptanceRules = field(default_factory=AcceptanceRules)
     motion: Annotated[MotionOptions, tyro.conf.arg(name="motion")] = field(default_factory=MotionOptions)
     output: Path | None = None
     """Folder for the figure of required and test response spectra."""
@@ -170,11 +159,13 @@ class Accept(CommandOptions):
         from agents.acceptance.clauses import accept
         from agents.acceptance.matching import compatible_motion
 
-        required = self.required()
+        required, rules = self.acceptance.required(), self.acceptance.rules
+        if required is None:
+            raise ParameterError("spectrum", None, "name ac156, ieee693 or a file")
         if self.make is not None:
             if self.files:
                 raise ParameterError("make", str(self.make), "reads no files: leave them out")
-            records = [compatible_motion(required, self.rules, seed=self.seed)]
+            records = [compatible_motion(required, rules, seed=self.seed)]
             _write(records[0], self.make)
             console.print(escape(f"wrote {self.make}"))
         else:
@@ -188,7 +179,7 @@ class Accept(CommandOptions):
             [record.acceleration for record in records],
             steps.pop(),
             required,
-            self.rules,
+            rules,
             [record.name for record in records],
         )
         print_acceptance(result, console)
@@ -205,14 +196,6 @@ class Accept(CommandOptions):
             "trs": {name: row.tolist() for name, row in zip(result.names, result.trs, strict=True)},
             "clauses": [asdict(clause) for clause in result.clauses],
         }
-
-    def required(self) -> RequiredSpectrum:
-        """Return the required spectrum that the options name."""
-        if self.spectrum == "ac156":
-            return ac156(self.s_ds, self.z_over_h)
-        if self.spectrum == "ieee693":
-            return ieee_693(self.level, self.damping)
-        return read_required_spectrum(self.spectrum, self.spectrum_units, self.damping)
 
     def exit_code(self, result: dict[str, Any]) -> int:
         """Return 0 where every clause is met, and 1 otherwise."""

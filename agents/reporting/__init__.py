@@ -16,11 +16,11 @@ __getattr__, __all__ = names_of(
             "robustness_of",
             "write_card",
         ),
-        "report": (
+        "report.contents": (
             "HistoryCollector",
             "make_report",
         ),
-        "report_page": ("write_report",),
+        "report.page": ("write_report",),
         "robustness_figures": ("draw_robustness",),
         "robustness_tables": (
             "read_robustness",

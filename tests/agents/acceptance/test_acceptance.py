@@ -192,7 +192,7 @@ def test_the_command_makes_holds_and_draws(tmp_path, capsys):
     assert main(["accept", str(made), "--s-ds", "1.6"]) == 1
     printed = capsys.readouterr().out
     assert "no ordinate below 0.9 RRS" in printed and "FAIL" in printed
-    assert parse(["accept", "--rules.upper", "1.3", "x.csv"]).rules.upper == 1.3
+    assert parse(["accept", "--rules.upper", "1.3", "x.csv"]).acceptance.rules.upper == 1.3
 
 
 def test_the_figure_shows_tolerance_and_bound(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.evaluation.tracking import BANDS, band_ratios, tracking_figures
-from agents.reporting.report_tracking import TRACKING_COLUMNS, tracking_rows
+from agents.reporting.report.tracking import TRACKING_COLUMNS, tracking_rows
 from shake_env.simulation.trajectory import Trajectory
 
 STEP, SUBSTEPS = 1e-3, 5

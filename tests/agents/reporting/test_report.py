@@ -12,19 +12,23 @@ import pytest
 from plotly.offline import get_plotlyjs
 
 from agents.__main__ import main
+from agents.acceptance.clauses import accept
+from agents.acceptance.options import AcceptanceOptions
+from agents.acceptance.rules import AcceptanceRules
 from agents.evaluation.comparison import compare
 from agents.reporting.comparison_tables import print_tables
-from agents.reporting.report import (
+from agents.reporting.report.acceptance import acceptance_section
+from agents.reporting.report.contents import (
     HistoryCollector,
     channels,
     make_report,
     policy_files_of,
     unique_labels,
 )
-from agents.reporting.report_data import page_data
-from agents.reporting.report_estimates import Drawn, TransferEstimate, lqr_frontier
-from agents.reporting.report_page import page, unbroken, write_report
-from agents.reporting.report_traces import BUDGET, LEVELS, Curves, pack, pack_all, unpack
+from agents.reporting.report.data import page_data
+from agents.reporting.report.estimates import Drawn, TransferEstimate, lqr_frontier
+from agents.reporting.report.page import page, unbroken, write_report
+from agents.reporting.report.traces import BUDGET, LEVELS, Curves, pack, pack_all, unpack
 from agents.reporting.terminal import OutputConsole
 from agents.run_directory import learning_curve
 from baselines.lqr.sampled import lqr
@@ -37,8 +41,8 @@ from shake_env.simulation.trajectory import Trajectory
 VOID = {"meta", "link", "br", "img", "input", "hr", "line"}
 
 
-def reported(scenario, names=("none",), **options):
-    gathered = HistoryCollector(scenario)
+def reported(scenario, names=("none",), acceptance=None, **options):
+    gathered = HistoryCollector(scenario, acceptance)
     found = compare(scenario, names, on_histories=gathered, **options)
     return make_report(found, gathered, "shake compare")
 
@@ -74,6 +78,42 @@ class Checked(HTMLParser):
 
     def all(self, tag):
         return [attributes for each, attributes in self.elements if each == tag]
+
+
+# --- acceptance ---------------------------------------------------------------------------------------
+
+
+def test_a_report_holds_each_controller_against_the_required_spectrum(tmp_path):
+    # The same spectrum, rules and motion as `accept` has: what the section says is what it found.
+    scenario = make_scenario("linear", {"duration": 6.0})
+    file = tmp_path / "required.csv"
+    file.write_text("1.0, 0.01\n30.0, 0.01\n", encoding="utf-8")
+    options = AcceptanceOptions(spectrum=str(file), rules=AcceptanceRules(strong_motion=1.0))
+    report = reported(scenario, ("none", "tvc"), options, noise=3, records=False)
+    section = acceptance_section(report)
+    rows = {row.label: row for row in section.rows}
+    assert set(rows) == {"tvc", "LQR"}  # a table that stands still has no test spectrum
+    _, histories = rollout(lqr(scenario), scenario, report.gathered.earthquakes, record=range(3))
+    alone = [
+        accept([t.table_acceleration], scenario.physics_step, options.required(), options.rules)
+        for t in histories.values()
+    ]
+    assert rows["LQR"].passed == sum(each.passed for each in alone)
+    lowest = min(float((each.trs / each.rrs).min()) for each in alone)
+    np.testing.assert_allclose(rows["LQR"].lowest, lowest, rtol=1e-12)
+    text = page(report, [])
+    Checked(text)
+    assert "Required response spectrum" in text and section.required.name in text
+    below = AcceptanceOptions(spectrum="ac156", s_ds=5.0)  # far above the motion
+    strict = acceptance_section(reported(scenario, ("lqr",), below, noise=2, records=False))
+    (row,) = strict.rows
+    assert row.passed == 0 and row.lowest < 0.9
+    assert any(words.startswith("no ordinate below 0.9 RRS (2)") for words in row.failed)
+
+
+def test_a_required_spectrum_without_a_report_is_refused(capsys):
+    assert main(["compare", "--acceptance.spectrum", "ac156"]) == 2
+    assert "--report" in capsys.readouterr().err
 
 
 # --- estimates against theory -----------------------------------------------------------------------

@@ -23,9 +23,9 @@ from agents.figure_style import (
     save_figure,
     strongest,
 )
-from agents.reporting.report import Report
-from agents.reporting.report_data import UNITS, spectral_ratio
-from agents.reporting.report_traces import Curves
+from agents.reporting.report.contents import Report
+from agents.reporting.report.data import UNITS, spectral_ratio
+from agents.reporting.report.traces import Curves
 
 LEAST = 1e-12
 

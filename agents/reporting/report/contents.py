@@ -10,14 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.acceptance.clauses import Acceptance, accept
+from agents.acceptance.options import AcceptanceOptions
 from agents.evaluation.bootstrap import mean_interval
 from agents.evaluation.comparison import Histories
 from agents.evaluation.fidelity import spectrum
 from agents.evaluation.results import Comparison, drive_column
 from agents.policies.policy_file import PolicyFile, load_policy
 from agents.policies.registry import ORACLE, SHIPPED, policy_path
-from agents.reporting.report_estimates import Drawn, TransferEstimate, lqr_frontier
-from agents.reporting.report_traces import Channel, Curves, achieved_curves, target_curves
+from agents.reporting.report.estimates import Drawn, TransferEstimate, lqr_frontier
+from agents.reporting.report.traces import Channel, Curves, achieved_curves, target_curves
 from agents.reporting.summary_text import Verdict, verdict
 from agents.run_directory import learning_curve
 from shake_env.errors import PolicyFileError
@@ -36,10 +38,16 @@ class HistoryCollector:
     ----------
     scenario
         What is driven.
+    acceptance
+        What the table's acceleration is held against; None, or no spectrum named: nothing.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, acceptance: AcceptanceOptions | None = None) -> None:
         self.scenario = scenario
+        self.criterion = acceptance or AcceptanceOptions()
+        self.required = self.criterion.required()
+        # By controller and earthquake; None where the table did not move.
+        self.acceptances: dict[str, list[Acceptance | None]] = {}
         self.drift = scenario.nonlinearity.yielding.active
         self.earthquakes: list[Earthquake] = []
         self.targets: list[Curves] = []  # of each earthquake, from the test that lasted longest
@@ -54,10 +62,18 @@ class HistoryCollector:
         self.earthquakes = [quake for quake, _ in histories]
         self.runs[name] = [achieved_curves(t, self.drift, factor) for _, t in histories]
         self.spectra[name] = [spectrum(t.table_acceleration, step) for _, t in histories]
+        if self.required is not None:
+            self.acceptances[name] = [self._held(quake, t) for quake, t in histories]
         estimate = self.transfer[name] = TransferEstimate(step)
         for i, (_, trajectory) in enumerate(histories):
             estimate.add(trajectory)
             self._keep_target(i, trajectory)
+
+    def _held(self, quake: Earthquake, trajectory: Trajectory) -> Acceptance | None:
+        motion, rules = trajectory.table_acceleration, self.criterion.rules
+        if self.required is None or not np.any(motion):
+            return None
+        return accept([motion], self.scenario.physics_step, self.required, rules, [quake.name])
 
     def _keep_target(self, i: int, trajectory: Trajectory) -> None:
         new = i == len(self.targets)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from agents.evaluation.fidelity import PERIODS, TOLERANCE
 from agents.figure_style import PLOTLY
-from agents.reporting.report import Report
-from agents.reporting.report_traces import pack_all
+from agents.reporting.report.contents import Report
+from agents.reporting.report.traces import pack_all
 
 UNITS = {
     "mass_ratio": "specimen mass over table mass [-]",

@@ -25,10 +25,11 @@ from agents.figure_style import figure_style
 from agents.policies.registry import ORACLE
 from agents.reporting.bound_notes import marked
 from agents.reporting.comparison_tables import comparison_notes
-from agents.reporting.report import Report
-from agents.reporting.report_data import page_data
-from agents.reporting.report_figures import stills
-from agents.reporting.report_tracking import TRACKING_COLUMNS, tracking_rows
+from agents.reporting.report.acceptance import acceptance_section
+from agents.reporting.report.contents import Report
+from agents.reporting.report.data import page_data
+from agents.reporting.report.figures import stills
+from agents.reporting.report.tracking import TRACKING_COLUMNS, tracking_rows
 from agents.reporting.robustness_figures import figures
 from agents.reporting.robustness_tables import findings, label
 from agents.reporting.summary_text import QUESTIONS
@@ -80,6 +81,7 @@ def page(report: Report, stills: Sequence[str]) -> str:
         tracking=tracking_rows(comparison.tracking, groups[report.verdict.group]),
         data=page_data(report),
         setting=_setting(report),
+        accepted=acceptance_section(report),
         changed=None if report.unlike is None else _robustness(report.unlike),
         stills=stills,
         oracle=ORACLE,
@@ -101,7 +103,9 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    environment.filters.update(number=_number, interval=_interval, unbroken=unbroken, marked=marked)
+    environment.filters.update(
+        number=_number, picture=_png, interval=_interval, unbroken=unbroken, marked=marked
+    )  # fmt: skip
     environment.tests["finite"] = _finite
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
     return environment
