@@ -4,20 +4,28 @@ A scenario with an uncertainty is run again with one of its spreads alone, the r
 values; then with the errors of its sensors alone; then with everything. Controllers are designed once,
 on the nominal table. What they cost on it is the first row.
 
-``python -m agents.studies.mismatch field lqg lqg-dac`` prints the table.
+``python -m agents.studies.mismatch field lqg lqg-dac`` prints the table;
+``--output docs/results/mismatch_field.json --page docs/scenarios/field.md`` keeps it.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+import shake_env
 from agents.policies.registry import get_controller
+from agents.provenance import machine
+from agents.reporting.markdown_blocks import markdown_table, put
 from agents.seeds import VALIDATION_SEED
 from shake_env.errors import ScenarioError
+from shake_env.files import write_json
 from shake_env.rollout import noise_earthquakes, rollout
 from shake_env.scenario.overrides import make_scenario
 from shake_env.scenario.scenario import Scenario
@@ -95,23 +103,62 @@ def mismatch_costs(
     return rows
 
 
-def markdown(rows: Sequence[Mismatch]) -> str:
-    """Return the rows as a table: cost with no mismatch, then each over it, lost tests in brackets."""
-    names = list(rows[0].costs)
-    lines = [
-        f"| mismatch | {' | '.join(f'`{name}`' for name in names)} |",
-        "|---" * (len(names) + 1) + "|",
-    ]
-    for row in rows:
-        cells = []
+def to_json(rows: Sequence[Mismatch], scenario: Scenario, earthquakes: int, seed: int) -> dict[str, Any]:
+    """Return the rows as plain JSON values, with what they depend on."""
+    return {
+        "scenario": scenario.name,
+        "earthquakes": earthquakes,
+        "seed": seed,
+        "version": shake_env.__version__,
+        "machine": machine(),
+        "rows": [asdict(row) for row in rows],
+    }
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """Return a result as a table: cost with no mismatch, then each over it, lost tests in brackets."""
+    nominal, names = result["rows"][0]["costs"], list(result["rows"][0]["costs"])
+    rows = []
+    for row in result["rows"]:
+        cells = [row["name"]]
         for name in names:
-            first, cost, lost = rows[0].costs[name], row.costs[name], row.lost[name]
-            text = f"{cost:.5f}" if row is rows[0] else f"{cost / first:.2f}"
+            cost, lost = row["costs"][name], row["lost"][name]
+            text = f"{cost:.3g}" if row["name"] == NONE else f"{cost / nominal[name]:.2f}"
             cells.append(text + (f" ({lost} lost)" if lost else ""))
-        lines.append(f"| {row.name} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        rows.append(cells)
+    table = markdown_table(("mismatch", *(f"`{name}`" for name in names)), rows)
+    return (
+        f"{table}\n{result['earthquakes']} validation earthquakes, seeds from {result['seed']}, version "
+        f"{result['version']}, {result['machine']}.\n"
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the study, write it, print its table."""
+    parser = argparse.ArgumentParser(prog="python -m agents.studies.mismatch", description=__doc__)
+    parser.add_argument("scenario", help="a named scenario that draws its plant, or a file")
+    parser.add_argument("controllers", nargs="+", help="names, or paths of policies")
+    parser.add_argument("--earthquakes", type=int, default=8, help="noise earthquakes (default 8)")
+    parser.add_argument("--seed", type=int, default=VALIDATION_SEED, help="seed of the first")
+    parser.add_argument("--output", type=Path, help="file that the result is written to, as JSON")
+    parser.add_argument("--page", type=Path, help="Markdown page with <!-- mismatch --> for the table")
+    given = parser.parse_args(arguments)
+    scenario = make_scenario(given.scenario)
+    rows = mismatch_costs(
+        scenario,
+        given.controllers,
+        given.earthquakes,
+        given.seed,
+        tell=lambda text: print(text, file=sys.stderr, flush=True),
+    )
+    result = to_json(rows, scenario, given.earthquakes, given.seed)
+    if given.output is not None:
+        write_json(given.output, result, indent=1)
+    if given.page is not None:
+        put(given.page, "mismatch", markdown(result))
+    print(markdown(result))
+    return 0
 
 
 if __name__ == "__main__":
-    name, *laws = sys.argv[1:]
-    print(markdown(mismatch_costs(make_scenario(name), laws, tell=lambda t: print(t, file=sys.stderr))))
+    sys.exit(main())
