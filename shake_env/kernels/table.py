@@ -55,7 +55,7 @@ RANKS = (2, 1, 3, 3, 3, 3, 2, 1, 3)  # of state to arrival
 _made = float64[:, ::1]
 
 
-def _kept(number: int) -> Any:
+def _cached(number: int) -> Any:
     """Return the update of N tables as numba keeps it on disk, for sources of this `stamp`."""
 
     # A signature of its own, so that this compiles once, for arrays of any layout.
@@ -65,7 +65,7 @@ def _kept(number: int) -> Any:
         error_model="numpy",
         nogil=True,
     )
-    def kept(
+    def step_tables(
         state: FloatArray,
         command: FloatArray,
         advance: FloatArray,
@@ -131,10 +131,10 @@ def _kept(number: int) -> Any:
                     )
         return number
 
-    return kept
+    return step_tables
 
 
-_step = _kept(stamp())
+_step = _cached(stamp())
 
 
 @dataclass(frozen=True)
