@@ -86,25 +86,25 @@ def main() -> None:
     )
     asked = parser.parse_args()
     chosen = [name for name in known if name != "peers" or asked.peers]
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     if asked.only is not None:
         if unknown := set(asked.only) - set(known):
             parser.error(f"no such group: {', '.join(sorted(unknown))}; there are {', '.join(known)}")
         if "peers" in asked.only and not asked.peers:
             parser.error("peers installs gymnax: ask for it, --peers")
-        kept = asked.json is not None and asked.json.exists()
-        if (asked.page or asked.figure) and not kept:
+        extending = asked.json is not None and asked.json.exists()
+        if (asked.page or asked.figure) and not extending:
             parser.error("--page and --figure need all groups: --json FILE has what --only leaves out")
         chosen = [name for name in known if name in asked.only]
         if asked.json and asked.json.exists():
-            found = json.loads(asked.json.read_text(encoding="utf-8"))
+            results = json.loads(asked.json.read_text(encoding="utf-8"))
     with threadpool_limits(1):
         for name in chosen:
-            found[name] = groups(asked.quick)[name]()
-            found = {each: found[each] for each in known if each in found}
+            results[name] = groups(asked.quick)[name]()
+            results = {each: results[each] for each in known if each in results}
             if asked.json:  # after each, so that one that fails does not lose the others
-                asked.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    made = tables(found)
+                asked.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    made = tables(results)
     for name, lines in made.items():
         print(f"\n{name}\n", *lines, sep="\n")
     if asked.page:
@@ -112,7 +112,7 @@ def main() -> None:
             put(asked.page, name, "\n".join(lines))
     if asked.figure:
         asked.figure.mkdir(parents=True, exist_ok=True)
-        print(draw(found, asked.figure), file=sys.stderr)
+        print(draw(results, asked.figure), file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -97,7 +97,7 @@ def decisions(spell: float, spells: int) -> dict[str, dict[str, float]]:
     the network's. Both carry their memory on.
     """
     torch.set_num_threads(1)
-    found = {}
+    seconds = {}
     for title, name in SHIPPED.items():
         policy = load_policy(shipped_policy(*name))
         model, env = sb3_model(policy)
@@ -106,8 +106,8 @@ def decisions(spell: float, spells: int) -> dict[str, dict[str, float]]:
             raise AssertionError(f"{title}: SB3's model differs by {apart:.1e}")
         work = {"numpy": _decision(policy, env.observation[0]), "SB3": _decision(model, env._look())}
         times = seconds_each(work, spell, spells)
-        found[title] = {**times, "largest difference": apart}
-    return found
+        seconds[title] = {**times, "largest difference": apart}
+    return seconds
 
 
 def _decision(policy: Any, observation: Any) -> Callable[[], None]:

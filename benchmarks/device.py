@@ -40,7 +40,7 @@ def device(spell: float, spells: int) -> dict[str, Any]:
     """
     kind = "cuda" if torch.cuda.is_available() else "cpu"
     torch.set_num_threads(1)
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         "device": torch.cuda.get_device_name() if kind == "cuda" else "cpu, one thread"
     }
     with torch.no_grad():
@@ -54,14 +54,14 @@ def device(spell: float, spells: int) -> dict[str, Any]:
                 work[key], moved[key] = _step(name, options, 2**power, kind)
         times = _seconds(work, spell, spells, kind)
     bandwidth = 2 * 4 * COPIED / times["copy"]
-    found["bandwidth [B/s]"] = bandwidth
+    result["bandwidth [B/s]"] = bandwidth
     for name in SCENARIOS:
         rates = {str(2**power): 2**power / times[f"{name} {2**power}"] for power in POWERS[kind]}
         bytes_each = moved[f"{name} {2 ** POWERS[kind][-1]}"]
-        found[name] = {"rates": rates, "bytes": bytes_each, "limit": bandwidth / bytes_each}
+        result[name] = {"rates": rates, "bytes": bytes_each, "limit": bandwidth / bytes_each}
     kinds = ("cpu", "cuda") if kind == "cuda" else ("cpu",)
     updates = {way: {each: update(way, each) for each in kinds} for way in ("gradient", "PPO")}
-    return found | {"updates": updates}
+    return result | {"updates": updates}
 
 
 def update(way: str, kind: str) -> float:

@@ -86,7 +86,7 @@ def single(spell: float, spells: int) -> dict[str, float]:
 
 def vectors(spell: float, spells: int) -> dict[str, dict[str, float]]:
     """Return the table-steps a second of vector environments, by their number of tables."""
-    found = {}
+    per_second = {}
     for number in (64, 256, 1024):
         cart = gymnasium.make_vec(
             "CartPole-v1", num_envs=number, vectorization_mode="vector_entry_point"
@@ -110,8 +110,8 @@ def vectors(spell: float, spells: int) -> dict[str, dict[str, float]]:
             tables = ShakeTableVecEnv(make_scenario("linear", {"stories": STORIES}), number)
             work["linear, SB3 VecEnv"] = stable(tables, still)
         rates = seconds_each(work, spell, spells)
-        found[f"{number} tables"] = {name: number * STEPS / each for name, each in rates.items()}
-    return found
+        per_second[f"{number} tables"] = {name: number * STEPS / each for name, each in rates.items()}
+    return per_second
 
 
 def threads(spell: float, spells: int) -> dict[str, dict[str, float]]:

@@ -40,7 +40,7 @@ CASES = (
 def measure(scenario_name: str, name: str, supervised: bool) -> dict[str, object]:
     """Return the times of one case [us]."""
     scenario = make_scenario(scenario_name)
-    found: dict[str, object] = {
+    result: dict[str, object] = {
         "scenario": scenario_name,
         "controller": name + (" + supervisor" if supervised else ""),
     }
@@ -51,12 +51,12 @@ def measure(scenario_name: str, name: str, supervised: bool) -> dict[str, object
             )
             times = step_times(Path(folder), program.name)
         for key in ("median_us", "worst_us", "worst_processor_us"):
-            found[f"{precision} {key}"] = times[key]
+            result[f"{precision} {key}"] = times[key]
     controller = get_controller(name, scenario)
     if supervised:
         controller = Supervised(controller, scenario)
-    found["numpy median_us"] = 1e6 * decision_time(controller, scenario)
-    return found
+    result["numpy median_us"] = 1e6 * decision_time(controller, scenario)
+    return result
 
 
 def table(rows: list[dict[str, object]]) -> str:

@@ -13,28 +13,28 @@ PEER = "gymnax CartPole-v1, stepped"
 NAMES = ("CartPole-v1", "linear", "linear, recorded motion", "laboratory", "yielding")
 
 
-def draw(found: dict[str, Any], folder: Path) -> Path:
+def draw(results: dict[str, Any], folder: Path) -> Path:
     """Draw the results of the groups `vector`, `scaling` and, if there are any, `peers`."""
     with figure_style():
         figure = new_figure(9.0, 3.8)
         left, right = figure.subplots(1, 2)
-        _rates(left, found)
-        _costs(right, found["scaling"])
+        _rates(left, results)
+        _costs(right, results["scaling"])
         file = folder / "benchmarks.png"
         figure.savefig(file, metadata={"Software": None})
         return file
 
 
-def _rates(axes: Any, found: dict[str, Any]) -> None:
+def _rates(axes: Any, results: dict[str, Any]) -> None:
     rates: dict[str, dict[int, float]] = {}
-    for groups in (found["vector"], found.get("peers", {})):
+    for groups in (results["vector"], results.get("peers", {})):
         for title, each in groups.items():
             for name in (*NAMES, PEER) if isinstance(each, dict) else ():
-                if name in each and not (name in NAMES and groups is not found["vector"]):
+                if name in each and not (name in NAMES and groups is not results["vector"]):
                     rates.setdefault(name, {})[int(title.split()[0])] = each[name]
     for (name, line), style in zip(rates.items(), CONTROLLERS, strict=False):
         axes.loglog(list(line), list(line.values()), **style, markersize=5.0, label=name)
-    tables = [int(name.split()[0]) for name in found["vector"]]
+    tables = [int(name.split()[0]) for name in results["vector"]]
     axes.set(xlabel="tables [-]", ylabel="table-steps a second [1/s]", xticks=tables)
     axes.xaxis.set_major_formatter(FormatStrFormatter("%d"))
     axes.xaxis.set_minor_locator(NullLocator())

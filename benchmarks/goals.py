@@ -11,11 +11,11 @@ from benchmarks.arithmetic import CONTROLLED, FULL
 
 @dataclass(frozen=True, kw_only=True)
 class Goal:
-    """One goal and what was found."""
+    """One goal and the measured value."""
 
     what: str
     bound: float
-    found: float
+    value: float
     at_least: bool = True
     unit: str = "times"
     why: str = ""  # said where it is missed
@@ -23,15 +23,15 @@ class Goal:
     @property
     def met(self) -> bool:
         """Whether the goal is reached."""
-        return self.found >= self.bound if self.at_least else self.found <= self.bound
+        return self.value >= self.bound if self.at_least else self.value <= self.bound
 
     def row(self) -> str:
         """Return the row of a Markdown table."""
         word = "at least" if self.at_least else "at most"
-        ratio = f"{self.found / self.bound:.2f}" if self.bound else "-"
+        ratio = f"{self.value / self.bound:.2f}" if self.bound else "-"
         verdict = "yes" if self.met else "**no**"
         return (
-            f"| {self.what} | {word} {number(self.bound)} {self.unit} | {number(self.found)} | {ratio} "
+            f"| {self.what} | {word} {number(self.bound)} {self.unit} | {number(self.value)} | {ratio} "
             f"| {verdict} |"
         )
 
@@ -79,111 +79,111 @@ RESET = (
 )
 
 
-def goals(found: dict[str, Any]) -> list[Goal]:
+def goals(results: dict[str, Any]) -> list[Goal]:
     """Return the goals of every group that was measured."""
     groups = {
         "single": _single, "vector": _vector, "threads": _threads, "resets": _resets,
         "peers": _peers, "arithmetic": _arithmetic, "closed loops": _closed_loops,
         "learning": _learning, "decision": _decision, "footprint": _footprint,
     }  # fmt: skip
-    return [goal for name, group in groups.items() if name in found for goal in group(found[name])]
+    return [goal for name, group in groups.items() if name in results for goal in group(results[name])]
 
 
 def _single(rates: dict[str, float]) -> Iterator[Goal]:
     cart = rates["CartPole-v1"]
     linear, laboratory = rates["linear, n_m = 5"] / cart, rates["laboratory"] / cart
     tall = rates["linear, n_m = 2"] / rates["linear, n_m = 10"]
-    yield Goal(what="one linear table beside CartPole-v1", bound=3.0, found=linear, why=SINGLE)
-    yield Goal(what="cost of 10 storeys beside 2", bound=1.2, found=tall, at_least=False)
-    yield Goal(what="one laboratory beside CartPole-v1", bound=2.0, found=laboratory, why=SINGLE)
+    yield Goal(what="one linear table beside CartPole-v1", bound=3.0, value=linear, why=SINGLE)
+    yield Goal(what="cost of 10 storeys beside 2", bound=1.2, value=tall, at_least=False)
+    yield Goal(what="one laboratory beside CartPole-v1", bound=2.0, value=laboratory, why=SINGLE)
 
 
-def _vector(found: dict[str, dict[str, float]]) -> Iterator[Goal]:
+def _vector(results: dict[str, dict[str, float]]) -> Iterator[Goal]:
     bounds = {"64 tables": 4.5, "256 tables": 4.0, "1024 tables": 1.5}
-    for tables, rates in found.items():
+    for tables, rates in results.items():
         ratio = rates["linear"] / rates["CartPole-v1"]
         what = f"{tables}, linear, beside vectorised CartPole"
-        yield Goal(what=what, bound=bounds[tables], found=ratio, why=VECTOR)
-    sb3 = found["64 tables"]
+        yield Goal(what=what, bound=bounds[tables], value=ratio, why=VECTOR)
+    sb3 = results["64 tables"]
     ratio = sb3["linear, SB3 VecEnv"] / sb3["CartPole-v1, SB3 DummyVecEnv"]
     yield Goal(
-        what="64 tables for SB3 beside DummyVecEnv of CartPole", bound=50.0, found=ratio, why=DUMMY
+        what="64 tables for SB3 beside DummyVecEnv of CartPole", bound=50.0, value=ratio, why=DUMMY
     )
-    wide = found["1024 tables"]
+    wide = results["1024 tables"]
     each = wide["laboratory"] / wide["laboratory, a specimen each"]
-    yield Goal(what="cost of a specimen each", bound=2.0, found=each, at_least=False)
+    yield Goal(what="cost of a specimen each", bound=2.0, value=each, at_least=False)
 
 
-def _threads(found: dict[str, dict[str, float]]) -> Iterator[Goal]:
+def _threads(results: dict[str, dict[str, float]]) -> Iterator[Goal]:
     bounds = {"1024 tables": 2.5, "4096 tables": 1.5}
-    for tables, rates in found.items():
+    for tables, rates in results.items():
         ratio = rates["linear, two threads"] / rates["CartPole-v1"]
         what = f"{tables}, linear, two threads, beside vectorised CartPole"
-        yield Goal(what=what, bound=bounds[tables], found=ratio, why=THREADS)
+        yield Goal(what=what, bound=bounds[tables], value=ratio, why=THREADS)
 
 
 def _resets(seconds: dict[str, float]) -> Iterator[Goal]:
     for name, bound in (("linear", 0.05), ("laboratory", 0.08), ("unknown-specimen", 0.3)):
         taken, why = 1e3 * seconds[name], RESET if name == "unknown-specimen" else ""
         what = f"a reset of {name}"
-        yield Goal(what=what, bound=bound, found=taken, at_least=False, unit="ms", why=why)
+        yield Goal(what=what, bound=bound, value=taken, at_least=False, unit="ms", why=why)
 
 
-def _peers(found: dict[str, Any]) -> Iterator[Goal]:
+def _peers(results: dict[str, Any]) -> Iterator[Goal]:
     bounds = {"256 tables": 3.0, "1024 tables": 2.0}
-    for tables, rates in found.items():
+    for tables, rates in results.items():
         if tables == "unavailable":
             return
         ratio = rates["linear"] / rates["gymnax CartPole-v1, stepped"]
         what = f"{tables}, linear, beside gymnax CartPole under jit, stepped"
-        yield Goal(what=what, bound=bounds[tables], found=ratio)
+        yield Goal(what=what, bound=bounds[tables], value=ratio)
 
 
 def _arithmetic(rates: dict[str, float]) -> Iterator[Goal]:
     peak = rates["matrix product 768 x 768"]
     for name in (CONTROLLED, FULL):
         what = f"1024 tables, {name}: peak of matrix products beside it"
-        yield Goal(what=what, bound=2.5, found=peak / rates[name], at_least=False)
+        yield Goal(what=what, bound=2.5, value=peak / rates[name], at_least=False)
     whole = peak / rates["whole step, with its ground"]
     what = "1024 tables, whole linear step: peak of matrix products beside it"
-    yield Goal(what=what, bound=3.5, found=whole, at_least=False)
+    yield Goal(what=what, bound=3.5, value=whole, at_least=False)
 
 
-def _closed_loops(found: dict[str, float]) -> Iterator[Goal]:
+def _closed_loops(results: dict[str, float]) -> Iterator[Goal]:
     for name, bound in (("textbook batch", 10.0), ("scipy dlsim", 300.0)):
-        ratio = found[name] / found["blocks"]
+        ratio = results[name] / results["blocks"]
         yield Goal(
             what=f"closed loops in blocks beside a {name}",
             bound=bound,
-            found=ratio,
+            value=ratio,
             why=TEXTBOOK if name == "textbook batch" else "",
         )
-    apart = found["largest relative difference"]
-    yield Goal(what="their largest difference", bound=1e-10, found=apart, at_least=False, unit="")
+    apart = results["largest relative difference"]
+    yield Goal(what="their largest difference", bound=1e-10, value=apart, at_least=False, unit="")
 
 
-def _learning(found: dict[str, Any]) -> Iterator[Goal]:
+def _learning(results: dict[str, Any]) -> Iterator[Goal]:
     for name, bound in (("linear", 6.0), ("laboratory", 15.0)):
-        rollout = 100.0 * found["PPO"][name]["share of roll-outs"]
+        rollout = 100.0 * results["PPO"][name]["share of roll-outs"]
         what = f"PPO, 64 tables, {name}: stepping, of roll-outs"
-        yield Goal(what=what, bound=bound, found=rollout, at_least=False, unit="%", why=PPO_ROLLOUT)
-    for name, ways in found["gradient"].items():
+        yield Goal(what=what, bound=bound, value=rollout, at_least=False, unit="%", why=PPO_ROLLOUT)
+    for name, ways in results["gradient"].items():
         grows = ways["gradient"]["exponent of memory"]
         if grows is not None:
             what = f"{name}: memory of a gradient grows as the window to the"
             # Linear; a fixed cost at the smallest windows, or pages of memory, tilt the fit a little.
-            yield Goal(what=what, bound=1.1, found=grows, at_least=False, unit="")
+            yield Goal(what=what, bound=1.1, value=grows, at_least=False, unit="")
 
 
-def _decision(found: dict[str, dict[str, float]]) -> Iterator[Goal]:
-    for name, times in found.items():
+def _decision(results: dict[str, dict[str, float]]) -> Iterator[Goal]:
+    for name, times in results.items():
         ratio = times["SB3"] / times["numpy"]
-        yield Goal(what=f"decision of {name}, beside SB3's predict", bound=1.0, found=ratio)
+        yield Goal(what=f"decision of {name}, beside SB3's predict", bound=1.0, value=ratio)
 
 
-def _footprint(found: dict[str, Any]) -> Iterator[Goal]:
-    taken, memory = found["import [s]"], found["4096 tables, 60 s motions [GiB]"]
-    torch = float(found["torch imported"])
-    yield Goal(what="import beyond what it needs", bound=0.5, found=taken, at_least=False, unit="s")
-    yield Goal(what="imports of torch by it", bound=0.0, found=torch, at_least=False, unit="")
-    yield Goal(what="4096 tables, 60 s motions", bound=2.0, found=memory, at_least=False, unit="GiB")
+def _footprint(results: dict[str, Any]) -> Iterator[Goal]:
+    taken, memory = results["import [s]"], results["4096 tables, 60 s motions [GiB]"]
+    torch = float(results["torch imported"])
+    yield Goal(what="import beyond what it needs", bound=0.5, value=taken, at_least=False, unit="s")
+    yield Goal(what="imports of torch by it", bound=0.0, value=torch, at_least=False, unit="")
+    yield Goal(what="4096 tables, 60 s motions", bound=2.0, value=memory, at_least=False, unit="GiB")

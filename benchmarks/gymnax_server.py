@@ -36,11 +36,11 @@ def maker(way: str, tables: int) -> Callable[[], None]:
     _, state = jax.vmap(ENV.reset, in_axes=(0, None))(keys, PARAMS)
     action = jnp.ones(tables, dtype=jnp.int32)
     step = jax.jit(_step)
-    kept = [keys, state]
+    carry = [keys, state]
 
     def stepped() -> None:
         for _ in range(STEPS):
-            *kept[:], observation, reward = step(*kept, action)
+            *carry[:], observation, reward = step(*carry, action)
             np.asarray(observation), np.asarray(reward)
 
     @jax.jit
@@ -52,8 +52,8 @@ def maker(way: str, tables: int) -> Callable[[], None]:
         return jax.lax.scan(body, (keys, state), length=STEPS)
 
     def scanned() -> None:
-        kept[:], seen = loop(*kept)
-        seen.block_until_ready()
+        carry[:], outputs = loop(*carry)
+        outputs.block_until_ready()
 
     call = stepped if way == "stepped" else scanned
     call()  # compiles

@@ -161,17 +161,17 @@ def gradients(
     }
     work = {f"{way} {window}": call for way, calls in ways.items() for window, call in calls.items()}
     times = seconds_each(work, spell, spells)
-    found: dict[str, dict[str, Any]] = {}
+    results: dict[str, dict[str, Any]] = {}
     for way, calls in ways.items():
         seconds = {str(window): times[f"{way} {window}"] for window in calls}
         memory = {str(window): peak(call) for window, call in calls.items()}
-        found[way] = {
+        results[way] = {
             "seconds": seconds,
             "bytes": memory if all(memory.values()) else None,
             "exponent of time": exponent(seconds, 3),
             "exponent of memory": exponent(memory, 3) if all(memory.values()) else None,
         }
-    return found
+    return results
 
 
 def peak(call: Callable[[], None]) -> int | None:

@@ -16,7 +16,7 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> list[str]:
     return ["| " + " | ".join(line) + " |" for line in lines]
 
 
-def tables(found: dict[str, Any]) -> dict[str, list[str]]:
+def tables(results: dict[str, Any]) -> dict[str, list[str]]:
     """Return the lines of each table, by the name of its markers, of the groups that were measured."""
     makers = {
         "machine": _machine, "single": _single, "vector": _vector, "threads": _vector, "resets": _resets,
@@ -24,12 +24,12 @@ def tables(found: dict[str, Any]) -> dict[str, list[str]]:
         "decision": _decision, "learning": _learning, "device": _device, "footprint": _footprint,
         "scaling": _scaling,
     }  # fmt: skip
-    made = {name: make(found[name]) for name, make in makers.items() if name in found}
-    return {"goals": _goals(found), **made}
+    made = {name: make(results[name]) for name, make in makers.items() if name in results}
+    return {"goals": _goals(results), **made}
 
 
-def _goals(found: dict[str, Any]) -> list[str]:
-    every = goals(found)
+def _goals(results: dict[str, Any]) -> list[str]:
+    every = goals(results)
     lines = ["| | goal | measured | measured / goal | met |", "|---|---|---|---|---|"]
     lines += [goal.row() for goal in every]
     reasons = dict.fromkeys(goal.why for goal in every if not goal.met and goal.why)
@@ -49,13 +49,13 @@ def _single(rates: dict[str, float]) -> list[str]:
     return table(("", "steps/s", "beside CartPole-v1"), rows)
 
 
-def _vector(found: dict[str, dict[str, float]]) -> list[str]:
-    names = dict.fromkeys(name for rates in found.values() for name in rates)
+def _vector(results: dict[str, dict[str, float]]) -> list[str]:
+    names = dict.fromkeys(name for rates in results.values() for name in rates)
     rows = [
-        (name, *(f"{rates[name] / 1e6:.2f} M" if name in rates else "" for rates in found.values()))
+        (name, *(f"{rates[name] / 1e6:.2f} M" if name in rates else "" for rates in results.values()))
         for name in names
     ]
-    return table(("table-steps/s", *found), rows)
+    return table(("table-steps/s", *results), rows)
 
 
 def _resets(seconds: dict[str, float]) -> list[str]:
@@ -63,10 +63,10 @@ def _resets(seconds: dict[str, float]) -> list[str]:
     return table(("", "a reset [ms]"), rows)
 
 
-def _peers(found: dict[str, Any]) -> list[str]:
-    if "unavailable" in found:
-        return [f"gymnax could not be installed: {found['unavailable']}"]
-    return _vector(found)
+def _peers(results: dict[str, Any]) -> list[str]:
+    if "unavailable" in results:
+        return [f"gymnax could not be installed: {results['unavailable']}"]
+    return _vector(results)
 
 
 def _arithmetic(rates: dict[str, float]) -> list[str]:
@@ -75,14 +75,14 @@ def _arithmetic(rates: dict[str, float]) -> list[str]:
     return table(("", "1e9 multiply-adds/s", "the peak beside it"), rows)
 
 
-def _closed_loops(found: dict[str, float]) -> list[str]:
+def _closed_loops(results: dict[str, float]) -> list[str]:
     ways = ("blocks", "textbook batch", "scipy dlsim")
-    rows = [(name, f"{found[name]:.3g}", f"{found[name] / found['blocks']:.1f}") for name in ways]
-    lines = table((f"{found['earthquakes']} earthquakes", "s", "beside blocks"), rows)
-    return [*lines, "", f"Largest relative difference: {found['largest relative difference']:.0e}."]
+    rows = [(name, f"{results[name]:.3g}", f"{results[name] / results['blocks']:.1f}") for name in ways]
+    lines = table((f"{results['earthquakes']} earthquakes", "s", "beside blocks"), rows)
+    return [*lines, "", f"Largest relative difference: {results['largest relative difference']:.0e}."]
 
 
-def _decision(found: dict[str, dict[str, float]]) -> list[str]:
+def _decision(results: dict[str, dict[str, float]]) -> list[str]:
     rows = [
         (
             name,
@@ -91,28 +91,28 @@ def _decision(found: dict[str, dict[str, float]]) -> list[str]:
             f"{times['SB3'] / times['numpy']:.1f}",
             f"{times['largest difference']:.0e}",
         )
-        for name, times in found.items()
+        for name, times in results.items()
     ]
     return table(("", "numpy [us]", "SB3 [us]", "SB3 / numpy", "actions differ by"), rows)
 
 
-def _learning(found: dict[str, Any]) -> list[str]:
+def _learning(results: dict[str, Any]) -> list[str]:
     rows = [
         (
             name,
             *(f"{100.0 * shares[key]:.1f} %" for key in ("share of roll-outs", "share of all")),
             f"{1e6 * shares['a period of 64 tables [s]']:.0f} us",
         )
-        for name, shares in found["PPO"].items()
+        for name, shares in results["PPO"].items()
     ]
     lines = table(("PPO, 64 tables", "of roll-outs", "of all time", "a period"), rows)
-    ours, theirs = (found["samples/s"][name] for name in ("linear", "CartPole-v1"))
+    ours, theirs = (results["samples/s"][name] for name in ("linear", "CartPole-v1"))
     whole = (
         f"PPO of the same size and settings, whole, by the wall clock: {number(ours)} samples a second "
         f"on `linear`, {number(theirs)} on SB3's CartPole-v1 ({ours / theirs:.1f} times)."
     )
     lines += ["", *wrap(whole, 118)]
-    for name, ways in found["gradient"].items():
+    for name, ways in results["gradient"].items():
         windows = list(ways["forward"]["seconds"])
         forward = ways["forward"]["seconds"]
         rows = [("forward pass [ms]", *(f"{1e3 * forward[w]:.0f}" for w in windows), "time")]
@@ -136,37 +136,37 @@ def _learning(found: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _device(found: dict[str, Any]) -> list[str]:
-    names = [name for name, each in found.items() if isinstance(each, dict) and name != "updates"]
-    sizes = list(found[names[0]]["rates"])
+def _device(results: dict[str, Any]) -> list[str]:
+    names = [name for name, each in results.items() if isinstance(each, dict) and name != "updates"]
+    sizes = list(results[names[0]]["rates"])
     rows = [
         (
             name,
-            *(f"{found[name]['rates'][size] / 1e6:.2f} M" for size in sizes),
-            f"{found[name]['bytes']:,} B".replace(",", " "),
-            f"{found[name]['limit'] / 1e6:.0f} M",
+            *(f"{results[name]['rates'][size] / 1e6:.2f} M" for size in sizes),
+            f"{results[name]['bytes']:,} B".replace(",", " "),
+            f"{results[name]['limit'] / 1e6:.0f} M",
         )
         for name in names
     ]
     head = ("table-steps/s, float32", *(f"{size} tables" for size in sizes), "a step moves", "limit")
-    told = f"Device: {found['device']}; a copy moves {found['bandwidth [B/s]'] / 1e9:.1f} GB/s."
-    lines = [*table(head, rows), "", told]
-    if "updates" in found:
+    line = f"Device: {results['device']}; a copy moves {results['bandwidth [B/s]'] / 1e9:.1f} GB/s."
+    lines = [*table(head, rows), "", line]
+    if "updates" in results:
         one = {"cpu": "cpu, one thread"}
-        kinds = [one.get(kind, kind) for kind in found["updates"]["gradient"]]
-        rows = [(way, *(f"{s:.2f}" for s in each.values())) for way, each in found["updates"].items()]
+        kinds = [one.get(kind, kind) for kind in results["updates"]["gradient"]]
+        rows = [(way, *(f"{s:.2f}" for s in each.values())) for way, each in results["updates"].items()]
         lines += ["", *table(("an update, wall time [s]", *kinds), rows)]
     return lines
 
 
-def _footprint(found: dict[str, Any]) -> list[str]:
-    rows = [(name, f"{v:.2f}" if isinstance(v, float) else str(v)) for name, v in found.items()]
+def _footprint(results: dict[str, Any]) -> list[str]:
+    rows = [(name, f"{v:.2f}" if isinstance(v, float) else str(v)) for name, v in results.items()]
     return table(("", ""), rows)
 
 
-def _scaling(found: dict[str, Any]) -> list[str]:
+def _scaling(results: dict[str, Any]) -> list[str]:
     rows = []
-    for name, case in found.items():
+    for name, case in results.items():
         smallest, *_, largest = case["seconds"]
         rows.append((name, f"{smallest} to {largest}", f"{case['exponent']:.2f}"))
     return table(("size", "tried", "cost grows as its power"), rows)

@@ -46,8 +46,8 @@ def peers(spell: float, spells: int, folder: Path = FOLDER) -> dict[str, Any]:
     try:
         python = environment(folder)
     except (OSError, subprocess.CalledProcessError) as error:
-        told = (getattr(error, "stderr", None) or str(error)).strip().splitlines()
-        return {"unavailable": told[-1] if told else str(error)}
+        lines = (getattr(error, "stderr", None) or str(error)).strip().splitlines()
+        return {"unavailable": lines[-1] if lines else str(error)}
     server = subprocess.Popen(
         [python, str(SERVER)],
         stdin=subprocess.PIPE,

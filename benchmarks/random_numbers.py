@@ -79,9 +79,11 @@ class Battery:
             f"moment {power}": (self.powers[power] / n - mean) / math.sqrt(variance / n)
             for power, (mean, variance) in MOMENTS.items()
         }
-        for tail, seen in self.tails.items():
+        for tail, counts in self.tails.items():
             share = float(ndtr(-abs(tail)))
-            distances[f"beyond {tail:+.1f}"] = (seen - n * share) / math.sqrt(n * share * (1.0 - share))
+            distances[f"beyond {tail:+.1f}"] = (counts - n * share) / math.sqrt(
+                n * share * (1.0 - share)
+            )
         for name, (plain, squared, count) in self.products.items():
             distances[f"correlation, {name}"] = plain / math.sqrt(count)
             distances[f"correlation of squares, {name}"] = squared / math.sqrt(4.0 * count)
@@ -101,11 +103,11 @@ class Battery:
 
 def battery(numbers: float) -> dict[str, Any]:
     """Return the figures of at least so many numbers."""
-    found, seed = Battery(), 0
+    result, seed = Battery(), 0
     keys = keys_of(range(STREAMS + 1), 0)
     episodes = keys_of(range(STREAMS), 1)
     first = 0
-    while found.count < numbers:
+    while result.count < numbers:
         if first >= 64 * PERIODS:  # other seeds now and then, as an episode has a few thousand periods
             seed, first = seed + STREAMS, 0
             keys = keys_of(range(seed, seed + STREAMS + 1), 0)
@@ -114,13 +116,13 @@ def battery(numbers: float) -> dict[str, Any]:
         every = _drawn(keys, period)
         z, neighbour = every[:-1], every[1:]
         others = {"neighbouring seeds": neighbour}
-        if found.portions % 8 == 0:
+        if result.portions % 8 == 0:
             others["next episode"] = _drawn(episodes, period)
             others["key of one other bit"] = _drawn(keys[:-1] ^ np.array([1, 0]), period)
             others["sensors"] = normals(keys[:-1, None], period, 1 << 32, NUMBERS).reshape(z.shape)
-        found.add(z, others)
+        result.add(z, others)
         first += PERIODS
-    return found.figures()
+    return result.figures()
 
 
 def _drawn(keys: np.ndarray, period: np.ndarray) -> np.ndarray:

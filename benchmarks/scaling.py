@@ -32,15 +32,15 @@ def scaling(spell: float, spells: int) -> dict[str, dict[str, Any]]:
         },
         "motion [s]": {t: _simulation(TABLES, duration=float(t)) for t in (5, 20, 80, 320)},
     }
-    found = {}
+    rates = {}
     for name, sizes in cases.items():
         work = {
             str(size): lambda s=simulation: s.step(np.zeros(s.lanes))
             for size, simulation in sizes.items()
         }
         times = seconds_each(work, spell, spells)
-        found[name] = {"seconds": times, "exponent": exponent(times, len(times) - len(times) // 2)}
-    return found
+        rates[name] = {"seconds": times, "exponent": exponent(times, len(times) - len(times) // 2)}
+    return rates
 
 
 def exponent(costs: Mapping[str, float], largest: int) -> float:

@@ -3,6 +3,7 @@
 And no window on the screen.
 """
 
+import importlib.util
 import os
 import tempfile
 
@@ -11,6 +12,25 @@ import pytest
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
+
+
+def pytest_sessionstart(session):
+    """Compile before the workers of a whole run begin: each would do all of it, at the same time."""
+    config = session.config
+    workers = getattr(config.option, "numprocesses", None)  # None in a worker, too
+    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    if workers and whole and not config.option.collectonly and importlib.util.find_spec("numba"):
+        from compile_kernels import compile_all
+
+        compile_all(workers)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Give each worker files in a row, so that what a module's fixture makes is made once."""
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log) if config.getvalue("dist") == "load" else None
 
 
 @pytest.fixture(autouse=True)

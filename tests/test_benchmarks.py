@@ -35,7 +35,7 @@ def test_a_goal_is_met_on_its_side_of_the_bound_and_on_it(at_least):
     from benchmarks.goals import Goal
 
     verdicts = [
-        Goal(what="x", bound=2.0, found=found, at_least=at_least).met for found in (1.9, 2.0, 2.1)
+        Goal(what="x", bound=2.0, value=found, at_least=at_least).met for found in (1.9, 2.0, 2.1)
     ]
     assert verdicts == ([False, True, True] if at_least else [True, True, False])
 

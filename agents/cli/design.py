@@ -41,9 +41,9 @@ class Design(CommandOptions):
 
         scenario = self.scenario.build()
         tuned = tuned_values(self.tuned)
-        found = design(scenario, self.earthquakes, tuned, Console(stderr=True).print)
-        print_design(found, scenario, console)
-        return found
+        result = design(scenario, self.earthquakes, tuned, Console(stderr=True).print)
+        print_design(result, scenario, console)
+        return result
 
 
 def print_design(result: dict[str, Any], scenario: Scenario, console: Console) -> None:

@@ -55,13 +55,13 @@ class Motion(CommandOptions):
         from agents.motions.figure import draw
 
         scenario = self.scenario.build()
-        found = channels(self.file, self.options, scenario)
-        described = [channel.to_json() for channel in found]
+        entries = channels(self.file, self.options, scenario)
+        described = [channel.to_json() for channel in entries]
         capacity = self.options.capacity(scenario)
-        print_channels(self.file, found, described, capacity, console)
+        print_channels(self.file, entries, described, capacity, console)
         folder = self.output or (None if self.json else Path("out/motion"))
         if folder is not None:
-            for path in draw(found, capacity, folder, self.file.name):
+            for path in draw(entries, capacity, folder, self.file.name):
                 console.print(escape(f"wrote {path}"))
         return {
             "version": shake_env.__version__,
@@ -77,18 +77,18 @@ class Motion(CommandOptions):
 
 def print_channels(
     file: Path,
-    found: Sequence[Channel],
+    entries: Sequence[Channel],
     described: Sequence[dict[str, Any]],
     capacity: TableCapacity,
     console: Console,
 ) -> None:
     """Print what a file holds for a person."""
-    form = reading(found[0].record)
-    number = f"{len(found)} channel{'s' if len(found) > 1 else ''}"
+    form = reading(entries[0].record)
+    number = f"{len(entries)} channel{'s' if len(entries) > 1 else ''}"
     console.print(escape(f"{file.name}: {form}, {number}"))
     figures = ("points", "step\ns", "peak\nm/s²", "Arias\nm/s", "5-95 %\ns")
     rows = []
-    for channel, row in zip(found, described, strict=True):
+    for channel, row in zip(entries, described, strict=True):
         reasons = dict.fromkeys((_beyond(channel.by_amplitude), _beyond(channel.by_time)))
         cells = (
             row["name"].removeprefix(f"{file.stem} "),
@@ -103,7 +103,7 @@ def print_channels(
         )
         rows.append(cells)
     print_table(console, ("channel", *figures, "ampl.\nx", "time\nx", "for its"), rows)
-    motion = found[0].by_amplitude.motion
+    motion = entries[0].by_amplitude.motion
     limited = math.isfinite(capacity.acceleration)
     acceleration = f", {capacity.acceleration:.3g} m/s²" if limited else ""
     band = f"above {motion.highpass_frequency or 0.0:g} Hz"

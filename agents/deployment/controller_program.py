@@ -94,9 +94,9 @@ def as_program(
 def valve_numbers(valve: ServoValve) -> dict[str, Any]:
     """Return what the opening of a servovalve depends on; None where nothing limits it."""
     limits = {name: getattr(valve, name) for name in ("spool_limit", "supply_pressure")}
-    found = {name: value if math.isfinite(value) else None for name, value in limits.items()}
+    numbers = {name: value if math.isfinite(value) else None for name, value in limits.items()}
     return {
-        **found,
+        **numbers,
         "dead_band": valve.dead_band,
         "missing": valve.missing,
         "rated": valve.rated,

@@ -122,10 +122,10 @@ def estimate(
     rng = np.random.default_rng(seed)
     drawn = np.empty(resamples)
     for i in range(resamples):
-        quakes = np.concatenate([rng.choice(group, len(group)) for group in members])
+        quakes = np.concatenate([group[rng.integers(len(group), size=len(group))] for group in members])
         rows = [rng.integers(len(sample), size=len(sample)) for sample in samples]
         drawn[i] = statistic(
-            *(sample[np.ix_(row, quakes)] for sample, row in zip(samples, rows, strict=True))
+            *(sample[row[:, None], quakes] for sample, row in zip(samples, rows, strict=True))
         )
     tail = 50.0 * (1.0 - level)
     low, high = np.percentile(drawn, [tail, 100.0 - tail])

@@ -123,11 +123,11 @@ def compare(
         controllers = {name: Supervised(c, driven[name]) for name, c in controllers.items()}
     for name, controller in controllers.items():
 
-        def told(share: float, name: str = name) -> None:
+        def report(share: float, name: str = name) -> None:
             on_progress(name, share)
 
         episodes[name], found = rollout(
-            controller, driven[name], earthquakes, record=range(len(earthquakes)), on_step=told
+            controller, driven[name], earthquakes, record=range(len(earthquakes)), on_step=report
         )
         traces[name] = found[traced]
         if isinstance(controller, Supervised):

@@ -62,8 +62,8 @@ class Episodes:
 
     def to_json(self) -> dict[str, Any]:
         """Return costs, base-shear errors and failures as plain values."""
-        kept = {name: self.figures[name] for name in ("cost", "base_shear_rms_error")}
-        plain = {name: [[_short(v) for v in run] for run in table] for name, table in kept.items()}
+        figures = {name: self.figures[name] for name in ("cost", "base_shear_rms_error")}
+        plain = {name: [[_short(v) for v in run] for run in table] for name, table in figures.items()}
         ended = [
             [run, quake, reason]
             for run, reasons in enumerate(self.broken)
@@ -75,7 +75,7 @@ class Episodes:
 
 def summary(
     name: str,
-    found: Episodes,
+    episodes: Episodes,
     *,
     normaliser: Scores,
     reference: Scores,
@@ -99,24 +99,24 @@ def summary(
     """
     row: dict[str, Any] = {
         "controller": name,
-        "runs": len(found.cost),
-        "episodes": found.cost.size,
-        **cost_figures(found.cost, normaliser, reference, optimum, resamples),
-        "failures": found.failures,
+        "runs": len(episodes.cost),
+        "episodes": episodes.cost.size,
+        **cost_figures(episodes.cost, normaliser, reference, optimum, resamples),
+        "failures": episodes.failures,
     }
     for figure in MEANS:
-        row[figure] = _interval(_mean, resamples, found.figures[figure])
+        row[figure] = _interval(_mean, resamples, episodes.figures[figure])
     for figure, error in RATIOS.items():
-        known = found.figures.get(figure)
+        known = episodes.figures.get(figure)
         row[error] = None
         if known is not None and np.isfinite(known).all():
             row[error] = _interval(_median, resamples, np.abs(known - 1.0))
     for figure in ("delay", "spectral_error"):
-        known = found.figures.get(figure)
+        known = episodes.figures.get(figure)
         finite = known is not None and np.isfinite(known).any()
         row[figure] = float(np.nanmean(known)) if known is not None and finite else None
     for peak in PEAKS:
-        row[peak] = float(found.figures[peak].max())
+        row[peak] = float(episodes.figures[peak].max())
     return row
 
 
@@ -142,7 +142,7 @@ def cost_figures(
         "optimality": (
             None
             if optimum is None
-            else _interval(lambda found: float(found.mean() / optimum), resamples, cost)
+            else _interval(lambda costs: float(costs.mean() / optimum), resamples, cost)
         ),
         "regret_closed": _interval(_regret_closed, resamples, own, base, normaliser) if regret else None,
         "run_costs": [float(run.mean() / normaliser.mean()) for run in own],

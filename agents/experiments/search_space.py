@@ -150,23 +150,23 @@ _SPACES: dict[str, tuple[Knob, ...]] = {
 def own_values(experiment: ExperimentConfig) -> dict[str, Value]:
     """Return an experiment's own value of everything that a search may change about it."""
     config, chosen = experiment.config, experiment.config.chosen
-    found: dict[str, Value] = {}
+    values: dict[str, Value] = {}
     for knob in _SPACES[config.algorithm]:
         if knob.name == "discount_horizon":
-            found[knob.name] = config.lookahead
+            values[knob.name] = config.lookahead
         elif knob.name == "minibatches":
             samples = chosen.n_envs * chosen.n_steps  # type: ignore[union-attr]
-            found[knob.name] = samples // chosen.batch_size  # type: ignore[union-attr]
+            values[knob.name] = samples // chosen.batch_size  # type: ignore[union-attr]
         else:
-            found[knob.name] = getattr(chosen, knob.name)
-    if not found.get("gru_hidden_size", 1):
-        del found["gru_hidden_size"]  # a policy without one is another kind of policy
-    found["base_controller"] = chosen.base_controller
+            values[knob.name] = getattr(chosen, knob.name)
+    if not values.get("gru_hidden_size", 1):
+        del values["gru_hidden_size"]  # a policy without one is another kind of policy
+    values["base_controller"] = chosen.base_controller
     if chosen.base_controller == "none":
-        del found[
+        del values[
             "residual_scale"
         ]  # of the whole current: less than all of it only takes from the policy
-    return found
+    return values
 
 
 def space(experiment: ExperimentConfig) -> tuple[Knob, ...]:
@@ -186,7 +186,7 @@ def space(experiment: ExperimentConfig) -> tuple[Knob, ...]:
 
 def _dividing(knobs: Sequence[Knob], tables: int, parts: int) -> list[Knob]:
     """Keep the roll-out lengths that the experiment's own number of parts divides, then vice versa."""
-    kept = []
+    dividing = []
     lengths: tuple[Value, ...] = ()
     for knob in knobs:
         if isinstance(knob, Choice) and knob.name == "n_steps":
@@ -195,8 +195,8 @@ def _dividing(knobs: Sequence[Knob], tables: int, parts: int) -> list[Knob]:
         elif isinstance(knob, Choice) and knob.name == "minibatches":
             fits = (p for p in knob.values if all(tables * int(n) % int(p) == 0 for n in lengths))
             knob = replace(knob, values=tuple(fits))
-        kept.append(knob)
-    return kept
+        dividing.append(knob)
+    return dividing
 
 
 @lru_cache(maxsize=32)  # a law behind an estimator takes a second to design
@@ -210,7 +210,7 @@ def suitable_laws(experiment: ExperimentConfig) -> tuple[BaseLaw, ...]:
     if chosen.base_controller == "none":
         return ("none",)
     optimal = optimal_cost(scenario) is not None
-    found: list[BaseLaw] = []
+    laws: list[BaseLaw] = []
     for law in get_args(BaseLaw):
         if law == "none" or (optimal and law != "flow" and law != chosen.base_controller):
             continue
@@ -218,8 +218,8 @@ def suitable_laws(experiment: ExperimentConfig) -> tuple[BaseLaw, ...]:
             base_law(law, scenario)
         except ShakeError:
             continue  # it needs what the scenario does not show
-        found.append(law)
-    return tuple(found)
+        laws.append(law)
+    return tuple(laws)
 
 
 def trial_config(experiment: ExperimentConfig, values: Mapping[str, Value], share: float) -> TrainConfig:

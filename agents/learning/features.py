@@ -49,25 +49,25 @@ def feature_matrix(scenario: Scenario, believed: bool = False) -> FloatArray:
         return both
     shown = scenario.observation
     matrix = np.eye(shown.size)
-    kept = np.arange(shown.size)
+    columns = np.arange(shown.size)
     if scenario.sensing.full_state:
         states = scenario.plant.layout.order
         matrix[:states, :states] = _full_state(scenario)
-        kept = np.concatenate([observable_states(scenario.plant), kept[states:]])
+        columns = np.concatenate([observable_states(scenario.plant), columns[states:]])
         if scenario.limits.table_displacement is not None:
-            kept = np.arange(shown.size)  # what breaks a limit matters
+            columns = np.arange(shown.size)  # what breaks a limit matters
     else:
         _measured(scenario, matrix)
     if shown.preview_samples:
         ahead = np.arange(shown.preview.start, shown.preview.stop)
         rows = _preview(scenario)
         matrix[ahead[: len(rows)]] = rows
-        kept = np.setdiff1d(kept, ahead[len(rows) :])
+        columns = np.setdiff1d(columns, ahead[len(rows) :])
     signals = np.delete(np.arange(shown.size), np.arange(shown.last_action.start, shown.size))
     motion = scenario.motion
     if isinstance(motion, FilteredNoise) and motion.amplitude > 0.0:
         matrix[signals] /= motion.amplitude
-    matrix = matrix[kept]
+    matrix = matrix[columns]
     steep = _steep_velocity(scenario)
     return matrix if steep is None else np.vstack([matrix, steep])
 

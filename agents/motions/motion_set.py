@@ -105,12 +105,12 @@ def read_motion_set(folder: str | PathLike[str]) -> TestSet:
     if not isinstance(entries, list) or not entries:
         raise _fault(manifest, "motion", entries, "give at least one [[motion]]")
     motions = tuple(_motion(manifest, number, entry) for number, entry in enumerate(entries, 1))
-    seen: set[tuple[Path, Any]] = set()
+    read: set[tuple[Path, Any]] = set()
     for number, motion in enumerate(motions, 1):
         key = (motion.file.resolve(), motion.reading.get("column"))
-        if key in seen:
+        if key in read:
             raise _fault(manifest, f"motion {number}.file", motion.file.name, "is named twice")
-        seen.add(key)
+        read.add(key)
     return TestSet(name, motions)
 
 

@@ -86,7 +86,7 @@ def _from_file(name: str, file: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except Exception as error:  # whatever a stranger's code raises is told by its line
         del sys.modules[alias]
-        raise _told(name, "its import", error) from error
+        raise _refused(name, "its import", error) from error
     finally:
         sys.path.remove(str(file.resolve().parent))
     return module
@@ -99,7 +99,7 @@ def _from_path(name: str, module: str) -> ModuleType:
     try:
         return importlib.import_module(module)
     except Exception as error:  # likewise
-        raise _told(name, "its import", error) from error
+        raise _refused(name, "its import", error) from error
     finally:
         sys.path.remove(here)
 
@@ -129,7 +129,7 @@ def _made(
     except ShakeError:
         raise
     except Exception as error:  # likewise
-        raise _told(name, "making it", error) from error
+        raise _refused(name, "making it", error) from error
     if not isinstance(controller, Controller):
         raise ScenarioError("controller", name, "must make an object with a method predict")
     _try_decisions(name, controller, scenario)
@@ -145,7 +145,7 @@ def _try_decisions(name: str, controller: Controller, scenario: Scenario) -> Non
             action, _ = controller.predict(observation, None, start, deterministic=True)
             action = np.asarray(action, dtype=np.float64)
         except Exception as error:  # likewise
-            raise _told(name, f"predict, observation of shape {observation.shape},", error) from error
+            raise _refused(name, f"predict, observation of shape {observation.shape},", error) from error
         if action.shape != (*tables, 1) or not np.isfinite(action).all():
             raise ScenarioError(
                 "controller",
@@ -155,7 +155,7 @@ def _try_decisions(name: str, controller: Controller, scenario: Scenario) -> Non
             )
 
 
-def _told(name: str, what: str, error: Exception) -> ScenarioError:
+def _refused(name: str, what: str, error: Exception) -> ScenarioError:
     at = traceback.extract_tb(error.__traceback__)[-1]
     message = f"{what} raises {type(error).__name__} at {at.filename}:{at.lineno}: {error}"
     return ScenarioError("controller", name, message)

@@ -119,7 +119,7 @@ class PolicyFile:
             age, known, shown = self.law.show_to(observation, law_state, episode_start)
             observation = np.concatenate([observation, shown.astype(self.matrix.dtype)], axis=-1)
         hidden = np.clip(observation @ self.matrix.T, -self.feature_clip, self.feature_clip)
-        kept: tuple[Any, ...] | None = None
+        memory: tuple[Any, ...] | None = None
         if self.memory is not None:
             past = rest(self.memory, hidden.shape[:-1])
             if state is not None:
@@ -127,7 +127,7 @@ class PolicyFile:
                 if episode_start is not None:
                     begun = np.reshape(episode_start, hidden.shape[:-1])[..., None]
                     past = tuple(np.where(begun, np.float32(0.0), part) for part in past)
-            recalled, kept = self.memory(hidden, past)
+            recalled, memory = self.memory(hidden, past)
             hidden = np.concatenate([hidden, recalled], axis=-1)
         entering, last = hidden, len(self.weights) - 1
         for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
@@ -140,8 +140,8 @@ class PolicyFile:
         action = (observation @ self.base)[..., None] + self.authority * output
         action = np.clip(action, -1.0, 1.0)
         if self.law is not None:
-            kept = (*(kept or ()), self.law.keep(known, action[..., 0].astype(float)), age + 1)
-        return action.astype(np.float32), kept
+            memory = (*(memory or ()), self.law.keep(known, action[..., 0].astype(float)), age + 1)
+        return action.astype(np.float32), memory
 
     def try_decisions(self) -> None:
         """Raise PolicyFileError unless a few decisions, memory included, are finite and within [-1, 1].

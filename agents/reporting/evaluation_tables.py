@@ -85,9 +85,9 @@ def _by_event(result: dict[str, Any]) -> list[str]:
     return ["", markdown_table(head, rows)]
 
 
-def cost_interval(found: dict[str, float]) -> str:
+def cost_interval(figure: dict[str, float]) -> str:
     """Return a relative cost as `interval` does: three digits after the point, one from 10 on."""
-    return interval(found, 3 if found["high"] < 10.0 else 1)
+    return interval(figure, 3 if figure["high"] < 10.0 else 1)
 
 
 def _scale(name: str) -> float:
@@ -100,11 +100,11 @@ def ranked(result: dict[str, Any]) -> list[dict[str, Any]]:
     return sorted(result["rows"], key=lambda r: (r["controller"] != first, r["relative_cost"]["value"]))
 
 
-def interval(found: dict[str, float] | None, digits: int, scale: float = 1.0) -> str:
+def interval(figure: dict[str, float] | None, digits: int, scale: float = 1.0) -> str:
     """Return ``value [low, high]``; the value alone where there is no interval, a dash for None."""
-    if found is None:
+    if figure is None:
         return "-"
-    value, low, high = (f"{scale * found[key]:.{digits}f}" for key in ("value", "low", "high"))
+    value, low, high = (f"{scale * figure[key]:.{digits}f}" for key in ("value", "low", "high"))
     return value if low == value == high else f"{value} [{low}, {high}]"
 
 

@@ -55,9 +55,9 @@ def with_block(page: str | PathLike[str], place: str, text: str, end: str | None
     begin, close = _begin(place), f"<!-- end {end or place} -->"
     if not page.is_file():
         raise ParameterError("page", str(page), no_file(page))
-    before, found, rest = page.read_text(encoding="utf-8").partition(begin)
+    before, marker, rest = page.read_text(encoding="utf-8").partition(begin)
     _, closed, after = rest.partition(close)
-    if not (found and closed):
+    if not (marker and closed):
         raise ParameterError("page", str(page), f"put the lines {begin.strip()} and {close} in it")
     body = f"\n{text.strip()}\n\n" if text.strip() else ""
     return before + begin + body + close + after

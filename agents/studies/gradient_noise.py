@@ -99,11 +99,11 @@ def gradient_noise(
     env = ShakeTableVecEnv(scenario, tables, base=base, authority=chosen.residual_scale)
     features = FeatureMap(scenario, env.law is not None)
     env.seed(chosen.seed + tables)
-    slopes, seen = _exact(env, features, chosen, lambda share: on_progress(0.6 * share))
+    slopes, observations = _exact(env, features, chosen, lambda share: on_progress(0.6 * share))
     pairs = ShakeTableVecEnv(scenario, 2 * tables, base=base, authority=chosen.residual_scale)
     pairs.seed(chosen.seed)
     runs = _explore(pairs, features, chosen, lambda share: on_progress(0.6 + 0.4 * share))
-    flat = seen.reshape(-1, seen.shape[-1]).astype(float)
+    flat = observations.reshape(-1, observations.shape[-1]).astype(float)
     moments = flat.T @ flat / len(flat)
     moments += RIDGE * np.trace(moments) / len(moments) * np.eye(len(moments))
     exact = flat.T @ slopes.reshape(-1) / len(flat)
@@ -147,7 +147,7 @@ def _exact(
     env.reset()
     tables = WindowRollout(env)
     half = chosen.rollout // 2
-    slopes, seen = [], []
+    slopes, observations = [], []
     for number in range(chosen.rollouts):
         added = torch.zeros((chosen.rollout, chosen.tables), dtype=torch.float64, requires_grad=True)
         steps = iter(added)
@@ -165,10 +165,10 @@ def _exact(
         window = tables.rollout(act, chosen.rollout)
         (slope,) = torch.autograd.grad(window.rewards.sum(), added)
         slopes.append(slope[:half].numpy().copy())
-        seen.append(np.stack(shown[:half]))
+        observations.append(np.stack(shown[:half]))
         tables.sync_env(window)
         on_progress((number + 1) / chosen.rollouts)
-    return np.stack(slopes), np.stack(seen)
+    return np.stack(slopes), np.stack(observations)
 
 
 def _explore(
@@ -181,18 +181,18 @@ def _explore(
     n, shape = chosen.tables, (chosen.rollouts, chosen.rollout, chosen.tables)
     lanes, shadows = range(n), range(n, 2 * n)
     noise = np.random.default_rng(chosen.seed).standard_normal(shape)
-    costs, seen = np.empty((*shape[:2], 2 * n)), []
+    costs, observations = np.empty((*shape[:2], 2 * n)), []
     shown = env.reset()
     for number, rollout in enumerate(noise):
         env.set_state(env.get_state(lanes), shadows)
         for t, each in enumerate(rollout):
-            seen.append(features(shown[:n]))
+            observations.append(features(shown[:n]))
             action = np.concatenate([math.exp(chosen.log_std) * each, np.zeros(n)])
             env.step_async(action[:, None].astype(np.float32))
             shown, reward, _, _ = env.step_wait()
             costs[number, t] = -reward
         on_progress((number + 1) / chosen.rollouts)
-    return Explored(noise, costs[..., :n], costs[..., n:], np.stack(seen).reshape(*shape, -1))
+    return Explored(noise, costs[..., :n], costs[..., n:], np.stack(observations).reshape(*shape, -1))
 
 
 def advantages(reward: FloatArray, values: FloatArray, gamma: float, smoothing: float) -> FloatArray:

@@ -58,13 +58,13 @@ def mismatched(scenario: Scenario) -> dict[str, Scenario]:
     known = replace(
         scenario, uncertainty=Uncertainty(), sensing=replace(scenario.sensing, sensors=exact)
     )
-    found = {NONE: known}
+    laws = {NONE: known}
     for name, spread in vars(scenario.uncertainty).items():
         if spread is not None:
-            found[name] = replace(known, uncertainty=Uncertainty(**{name: spread}))
+            laws[name] = replace(known, uncertainty=Uncertainty(**{name: spread}))
     if exact != sensors:
-        found[SENSORS] = replace(known, sensing=scenario.sensing)
-    return {**found, ALL: scenario}
+        laws[SENSORS] = replace(known, sensing=scenario.sensing)
+    return {**laws, ALL: scenario}
 
 
 def mismatch_costs(

@@ -112,11 +112,11 @@ def load_checkpoint(run: str | PathLike[str], config: TrainConfig, env: Training
         If there is no readable checkpoint, or only those of an earlier version, which hold pickles.
     """
     run = Path(run)
-    found, failures = checkpoints(run), []
-    if not found:
+    files, failures = checkpoints(run), []
+    if not files:
         require_no_pickles(run)
     model: Model | None = None
-    for file in reversed(found):
+    for file in reversed(files):
         try:
             state = _read(file)
             if model is None:
@@ -195,8 +195,8 @@ def _restore(model: Model, env: TrainingTables, state: Mapping[str, Any]) -> Non
         if hasattr(model, name):
             setattr(model, name, whole_number(state["counters"][name], name, MOST_STEPS))
     model._current_progress_remaining = float(state["progress_remaining"])
-    seen = [{"r": float(r), "l": int(steps)} for r, steps in state["episodes"]]
-    model.ep_info_buffer = deque(seen, maxlen=model._stats_window_size)
+    episodes = [{"r": float(r), "l": int(steps)} for r, steps in state["episodes"]]
+    model.ep_info_buffer = deque(episodes, maxlen=model._stats_window_size)
     model.ep_success_buffer = deque(maxlen=model._stats_window_size)
     like = {
         "last_observation": env.reset(),  # each table begins an episode: its state then has every part

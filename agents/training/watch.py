@@ -108,7 +108,7 @@ class TrainingWatch(BaseCallback):
         policy = export_policy(self.model, base_tables(self.tables), self.card)
         if self.config.odd_symmetry:
             policy = mirror_averaged(policy)
-        metrics, found = rollout(policy, self.scenario, self.earthquakes, record=(0,))
+        metrics, trajectories = rollout(policy, self.scenario, self.earthquakes, record=(0,))
         cost = float(np.mean([m.cost for m in metrics]))
         self.cost_ratio = cost / self.reference_cost
         self.evaluations.append(self.cost_ratio)
@@ -119,7 +119,7 @@ class TrainingWatch(BaseCallback):
         self.logger.record("evaluation/acceleration_rms_error", acceleration)
         self.logger.record("evaluation/base_shear_rms_error", shear)
         title = f"{metrics[0].earthquake} after {self.model.num_timesteps} control periods"
-        figure = Figure(example_figure(found[0], title), close=False)
+        figure = Figure(example_figure(trajectories[0], title), close=False)
         self.logger.record("evaluation/example", figure)
         self.logger.dump(self.model.num_timesteps)
         row = {
@@ -150,8 +150,8 @@ def _reference(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[l
     if lqr_suits(scenario):
         metrics, _ = rollout(lqr(scenario), scenario, earthquakes)
     else:
-        seen, controller = oracle_controller(scenario, earthquakes)
-        metrics, _ = rollout(controller, seen, earthquakes)
+        shown, controller = oracle_controller(scenario, earthquakes)
+        metrics, _ = rollout(controller, shown, earthquakes)
     lasting = [i for i, m in enumerate(metrics) if m.broken_limit is None] or range(len(metrics))
     return [earthquakes[i] for i in lasting], float(np.mean([metrics[i].cost for i in lasting]))
 

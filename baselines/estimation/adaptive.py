@@ -61,11 +61,11 @@ class AdaptiveState:
         """Return this memory with `lanes` (N,) as before anything was seen."""
         if not lanes.any():
             return self
-        kept = {}
+        arrays = {}
         for field in fields(self):
-            kept[field.name] = getattr(self, field.name).copy()
-            kept[field.name][lanes] = 0
-        return AdaptiveState(**kept)
+            arrays[field.name] = getattr(self, field.name).copy()
+            arrays[field.name][lanes] = 0
+        return AdaptiveState(**arrays)
 
 
 class CertaintyEquivalence:
@@ -142,14 +142,14 @@ class CertaintyEquivalence:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
         """Return the action (..., 1) for an observation (..., n), within [-1, 1]."""
-        seen = np.atleast_2d(observation).astype(float)
+        rows = np.atleast_2d(observation).astype(float)
         if state is None:
-            belief = AdaptiveState.none(len(seen), *self.bank.shear.shape)
+            belief = AdaptiveState.none(len(rows), *self.bank.shear.shape)
         else:
             belief = state[0]
             if episode_start is not None:
                 belief = belief.restarted(np.atleast_1d(episode_start))
-        current, belief = self._command(seen, belief)
+        current, belief = self._command(rows, belief)
         action = current / self.scenario.current_limit
         return action.reshape(*observation.shape[:-1], 1).astype(np.float32), (belief,)
 
@@ -171,28 +171,28 @@ class CertaintyEquivalence:
         weight, mass = self.posterior(belief)
         return np.sum(weight * mass, axis=-1), weight @ self.bank.frequencies
 
-    def _command(self, seen: FloatArray, belief: AdaptiveState) -> tuple[FloatArray, AdaptiveState]:
+    def _command(self, rows: FloatArray, belief: AdaptiveState) -> tuple[FloatArray, AdaptiveState]:
         scenario, shown = self.scenario, self.scenario.observation
         layout, scale = scenario.plant.layout, scenario.plant.state_scale
-        head = seen[:, : shown.head] * scale[: shown.head]
+        head = rows[:, : shown.head] * scale[: shown.head]
         ground = head[:, layout.ground]
         target = ground @ self._source
         if shown.sensing.last_action:  # what was given, which a supervisor may have changed
-            given = scenario.current_limit * seen[:, shown.last_action]
+            given = scenario.current_limit * rows[:, shown.last_action]
             belief = replace(belief, commands=np.concatenate([given, belief.commands[:, 1:]], axis=-1))
         if self._observer is None:
             belief = self._shown(head, belief)
             weight, mass = self.posterior(belief)
             table = head[:, layout.actuator]
         else:
-            readings, raw = self._readings(seen, belief)
+            readings, raw = self._readings(rows, belief)
             before, belief = belief.phi, self._simulated(readings, raw, target, belief)
             weight, mass = self.posterior(belief)
             shear = np.stack([np.sum(weight * mass * phi, axis=-1) for phi in (before, belief.phi)], -1)
             table = self._observer.update(belief.table, belief.commands, shear, readings)
         common = np.concatenate(
             [
-                seen[:, shown.preview] * math.sqrt(scenario.plant.target_variance),
+                rows[:, shown.preview] * math.sqrt(scenario.plant.target_variance),
                 belief.commands[:, :1],
             ],
             axis=-1,
@@ -211,7 +211,7 @@ class CertaintyEquivalence:
         wanted = np.sum(self.bank.law(mass) * features, axis=-1)
         limit = scenario.current_limit
         current: FloatArray = np.clip(np.sum(weight * wanted, axis=-1), -limit, limit)
-        now = np.ones(len(seen), dtype=bool)
+        now = np.ones(len(rows), dtype=bool)
         commands = np.stack([current, belief.commands[:, 0]], axis=-1)
         belief = replace(belief, table=table, target=target, commands=commands, started=now)
         return current, belief
@@ -238,11 +238,11 @@ class CertaintyEquivalence:
             square=self._forget * belief.square + f**2,
         )
 
-    def _readings(self, seen: FloatArray, belief: AdaptiveState) -> tuple[FloatArray, FloatArray]:
+    def _readings(self, rows: FloatArray, belief: AdaptiveState) -> tuple[FloatArray, FloatArray]:
         """Return the readings (N, 5) of `SIGNALS` in SI, the low-pass undone, and what it gave."""
         shown = self.scenario.observation
         places = [shown.reading_names.index(signal) for signal in SIGNALS]
-        readings = (seen[:, shown.readings] * shown.reading_scale)[:, places]
+        readings = (rows[:, shown.readings] * shown.reading_scale)[:, places]
         cutoff = shown.sensor_values("lowpass_frequency")[places[-1]]
         raw = readings[:, -1].copy()
         # The low-pass, f' = omega (y - f), is undone by a difference of two readings.

@@ -125,14 +125,14 @@ def arriving_law(scenario: Scenario, position: float | None) -> FloatArray:
         raise ScenarioError("delay", scenario.delay, f"must be at most {scenario.substeps} steps")
     if samples and gone > samples:
         raise ScenarioError("preview", scenario.sensing.preview, "must reach over the loop delay")
-    seen = max(samples - gone, 0)
+    previewed = max(samples - gone, 0)
     design = preview_lqr(
-        discrete, scenario.stage_cost, seen * spacing, spacing if samples else None, position
+        discrete, scenario.stage_cost, previewed * spacing, spacing if samples else None, position
     )
     row = np.concatenate([-design.gain, design.preview_gain])
     if d == 0.0:
         return np.append(row, 0.0)
-    predict = np.zeros((n + seen, n + samples + 1))
+    predict = np.zeros((n + previewed, n + samples + 1))
     inside, scale = layout.controlled, scenario.plant.state_scale
     coupled = scenario.plant.coupled
     table = StateSpace(
@@ -158,7 +158,7 @@ def arriving_law(scenario: Scenario, position: float | None) -> FloatArray:
     for length, first, last in pieces:
         hold, start, end = specimen_filter(scenario.specimen, length)
         predict[reference] = hold @ predict[reference] + np.outer(start, first) + np.outer(end, last)
-    for j in range(seen):
+    for j in range(previewed):
         predict[n + j] = (1.0 - share) * target[passed + j + 1] + share * target[gone + j + 1]
     arriving: FloatArray = row @ predict
     return arriving

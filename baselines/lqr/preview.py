@@ -145,9 +145,9 @@ def infinite_preview(discrete: DiscretePlant, cost: StageCost) -> StationaryPerf
     """
     problem = TrackingProblem.of(discrete, cost)
     floor = _floor(problem)
-    found = _performance(problem, problem.L, None)
-    _agree(problem, found.cost, floor)
-    return found
+    performance = _performance(problem, problem.L, None)
+    _agree(problem, performance.cost, floor)
+    return performance
 
 
 def check_preview(scenario: Scenario, samples: int, spacing: float) -> None:

@@ -245,11 +245,11 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
 
         What another specimen would still be vibrating with decays over seconds.
         """
-        seen = super()._reference(shown, last, ground, fresh, tables)[0].copy()
+        reference = super()._reference(shown, last, ground, fresh, tables)[0].copy()
         if not self._scenario.sensing.full_state:
             for n in np.flatnonzero(tables.renewed & ~fresh):
-                seen[n] = _followed(tables, int(n))
-        return seen, seen
+                reference[n] = _followed(tables, int(n))
+        return reference, reference
 
     def _design(self, memory: Any) -> Design:
         tables: Tables = memory
@@ -277,8 +277,8 @@ class Tables:
 
 def _followed(tables: Tables, n: int) -> FloatArray:
     """Return x~_S (2 stories) of table n, over its scale, from rest through the history."""
-    design, seen = tables.design, tables.history[n, tables.history.shape[1] - tables.age[n] :]
-    pushed = seen[:-1] @ design.before[n].T + seen[1:] @ design.now[n].T
+    design, history = tables.design, tables.history[n, tables.history.shape[1] - tables.age[n] :]
+    pushed = history[:-1] @ design.before[n].T + history[1:] @ design.now[n].T
     state: FloatArray = np.zeros(len(design.follow[n]))
     for push in pushed:
         state = design.follow[n] @ state + push

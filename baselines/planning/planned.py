@@ -103,7 +103,7 @@ def plan_records(
     not at all. The plan itself does not depend on it.
     """
     own = nominal(scenario)
-    found = []
+    plans = []
     optima: list[OptimalEpisode] = optimal_episodes(
         scenario, earthquakes, plant=own, signals=nominal_reference, threads=THREADS, on_step=on_step
     )
@@ -111,7 +111,7 @@ def plan_records(
         if not math.isfinite(optimum.cost):
             raise ParameterError("earthquake", quake.name, "no plan keeps the limits: scale it down")
         episode = optimum.episode
-        found.append(
+        plans.append(
             RecordPlan(
                 quake.name,
                 scenario_digest(own),
@@ -124,7 +124,7 @@ def plan_records(
                 episode.shear,
             )
         )
-    return found
+    return plans
 
 
 def _feedback(optimum: OptimalEpisode, tolerance: float | None) -> FloatArray:

@@ -228,5 +228,5 @@ class InverseFeedForward:
         current = (
             current + acceleration[..., 0] * self.law.acceleration_tap + signals @ self.law.feedback
         )
-        kept = np.concatenate([read, known[..., 1:]], axis=-1)
-        return as_action(current, self._limit), (kept,)
+        lines = np.concatenate([read, known[..., 1:]], axis=-1)
+        return as_action(current, self._limit), (lines,)

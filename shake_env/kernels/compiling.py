@@ -24,7 +24,7 @@ def stamp() -> int:
     return zlib.crc32(b"".join(path.read_bytes() for path in sources))
 
 
-def kept(signature: Any, function: Callable[..., Any]) -> Any:
+def cached(signature: Any, function: Callable[..., Any]) -> Any:
     """Return a function compiled for a signature, kept on disk where a folder can be written.
 
     numba tries the package's own folder, then one in the user's home. Where neither can be written, what

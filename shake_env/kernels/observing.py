@@ -98,8 +98,8 @@ def _show(code: Code, record: Any, matrices: Any, room: Any, index: Any, cursor:
         else:
             _scaled(code, rows, look, start, count, outside)
     # Only the drifting position, or a table that has just diverged, comes near the bound.
-    for v, found in enumerate(outside):
-        with b.if_then(found.get().any(), likely=False), code.loop(shown) as i:
+    for v, read in enumerate(outside):
+        with b.if_then(read.get().any(), likely=False), code.loop(shown) as i:
             place = b.add(b.mul(i, whole(code.block)), whole(v * code.wide))
             value, most = code.load(look, place), bound.to(F32)
             bounded = value.within(most)

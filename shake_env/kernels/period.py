@@ -15,7 +15,7 @@ from numba.core import cgutils
 from numba.core.typing import signature
 from numba.extending import intrinsic
 
-from shake_env.kernels.compiling import kept, stamp
+from shake_env.kernels.compiling import cached, stamp
 from shake_env.kernels.ground import BLOCK_POINTERS, Block, advance_ground, the_block
 from shake_env.kernels.judgement import judge
 from shake_env.kernels.layout import GROUND, START, STEP
@@ -145,5 +145,5 @@ def period_of(block: int) -> Callable[[int], int]:
     def blocks(address: int) -> int:
         return _blocks(address) if number else 0
 
-    compiled: Callable[[int], int] = kept(int64(int64), alone if block == 1 else blocks)
+    compiled: Callable[[int], int] = cached(int64(int64), alone if block == 1 else blocks)
     return compiled

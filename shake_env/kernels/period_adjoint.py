@@ -172,7 +172,7 @@ _slope_ranks = (2, 2, 2)  # along the state, y_A and f_s
 _made = float64[:, ::1]
 
 
-def _kept(number: int) -> Any:
+def _cached(number: int) -> Any:
     """Return the sweep of N tables as numba keeps it on disk, for sources of this `stamp`."""
 
     @njit(
@@ -183,7 +183,7 @@ def _kept(number: int) -> Any:
         error_model="numpy",
         nogil=True,
     )  # fmt: skip
-    def kept(
+    def sweep_tables(
         state: FloatArray,
         command: FloatArray,
         advance: FloatArray,
@@ -217,7 +217,7 @@ def _kept(number: int) -> Any:
             np.empty((inputs, width)),
             np.empty((substeps, width)),
         )
-        seen, slopes = np.empty((2, width)), np.empty((2 * substeps, width))
+        output_slopes, slopes = np.empty((2, width)), np.empty((2 * substeps, width))
         none = lanes - lanes  # a zero that is no literal: for one the helpers would be compiled again
         for first in range(0, lanes, width):
             w = min(width, lanes - first)
@@ -248,8 +248,8 @@ def _kept(number: int) -> Any:
                 taped, predicted, spool, later, arriving, transition, change, v, s, friction, rate, w
             )
             _sweep(
-                taped, predicted, spool, xbar, gbar, cbar, later, seen, back, unchange, unseen, v, s,
-                friction, rate, slopes, w,
+                taped, predicted, spool, xbar, gbar, cbar, later, output_slopes, back, unchange,
+                unseen, v, s, friction, rate, slopes, w,
             )  # fmt: skip
             for n in range(w):
                 lane = first + n
@@ -267,10 +267,10 @@ def _kept(number: int) -> Any:
                         command_slope[lane] = along
         return number
 
-    return kept
+    return sweep_tables
 
 
-_back = _kept(stamp())
+_back = _cached(stamp())
 
 
 @dataclass(frozen=True)

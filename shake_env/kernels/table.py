@@ -55,87 +55,8 @@ RANKS = (2, 1, 3, 3, 3, 3, 2, 1, 3)  # of state to arrival
 _made = float64[:, ::1]
 
 
-@jit
-def _period(
-    state: FloatArray,
-    command: FloatArray,
-    advance: FloatArray,
-    slope: FloatArray,
-    C: FloatArray,
-    D: FloatArray,
-    valve: FloatArray,
-    coulomb: FloatArray,
-    arrival: FloatArray,
-    v: FloatArray,
-    s: IntArray,
-    moved: FloatArray,
-    acceleration: FloatArray,
-    shear: FloatArray,
-) -> None:
-    lanes, order, inputs = len(state), advance.shape[1], s[COLUMNS]
-    substeps, commands = arrival.shape[1], arrival.shape[2] - 1
-    own = len(advance) > 1
-    width = min(BLOCK, lanes)
-    depth = width + 8 if own else 1  # a stride off the powers of two, which share few cache lines
-    transition = np.empty((order + 1 + inputs, order, depth))
-    change = np.empty((inputs, order, depth))
-    outputs = np.zeros((order + 1 + inputs, 2, depth))
-    x = np.empty((order + 1 + inputs, width))  # state, current, g
-    y, later, sampled = np.empty((order, width)), np.empty((inputs, width)), np.empty((2, width))
-    response = np.empty((2 * substeps, width))
-    arriving, friction, rate = np.empty((substeps, width)), np.empty(width), np.empty((3, width))
-    none = lanes - lanes  # a zero that is no literal: for one the helpers would be compiled again
-    for first in range(0, lanes, width):
-        w = min(width, lanes - first)
-        if own or first == 0:
-            count = w if own else 1
-            gather(advance, first, count, s, order + 1, transition, none)
-            gather(slope, first, count, s, none, change, none)
-            gather(C, first, count, s, order, outputs, none)
-            gather(D, first, count, s, none, outputs, order + 1)
-        for n in range(w):
-            lane = first + n
-            for i in range(order):
-                x[i, n] = state[lane, i]
-            friction[n] = coulomb[lane if len(coulomb) > 1 else 0]
-            for i in range(3):
-                rate[i, n] = valve[lane if len(valve) > 1 else 0, i]
-            picks = arrival[lane if len(arrival) > 1 else 0]
-            for j in range(substeps):
-                arriving[j, n] = picks[j, commands] * command[lane]
-                for i in range(commands):
-                    arriving[j, n] += picks[j, i] * state[lane, order + i]
-        follow(
-            x,
-            y,
-            later,
-            sampled,
-            arriving,
-            transition,
-            change,
-            outputs,
-            v,
-            s,
-            friction,
-            rate,
-            response,
-            w,
-        )
-        for n in range(w):
-            lane = first + n
-            for i in range(order):
-                moved[lane, i] = x[i, n]
-            for j in range(substeps):
-                acceleration[lane, j] = response[j, n]
-                shear[lane, j] = response[substeps + j, n]
-            for i in range(commands):
-                moved[lane, order + i] = (
-                    state[lane, order + i + 1] if i + 1 < commands else command[lane]
-                )
-
-
-def _kept(number: int) -> Any:
-    """Return `_period` as numba keeps it on disk, for sources of this `stamp`."""
+def _cached(number: int) -> Any:
+    """Return the update of N tables as numba keeps it on disk, for sources of this `stamp`."""
 
     # A signature of its own, so that this compiles once, for arrays of any layout.
     @njit(
@@ -144,7 +65,7 @@ def _kept(number: int) -> Any:
         error_model="numpy",
         nogil=True,
     )
-    def kept(
+    def step_tables(
         state: FloatArray,
         command: FloatArray,
         advance: FloatArray,
@@ -160,16 +81,60 @@ def _kept(number: int) -> Any:
         acceleration: FloatArray,
         shear: FloatArray,
     ) -> int:
-        _period(
-            state, command, advance, slope, C, D, valve, coulomb, arrival, v, s, moved,
-            acceleration, shear,
-        )  # fmt: skip
+        lanes, order, inputs = len(state), advance.shape[1], s[COLUMNS]
+        substeps, commands = arrival.shape[1], arrival.shape[2] - 1
+        own = len(advance) > 1
+        width = min(BLOCK, lanes)
+        depth = width + 8 if own else 1  # a stride off the powers of two, which share few cache lines
+        transition = np.empty((order + 1 + inputs, order, depth))
+        change = np.empty((inputs, order, depth))
+        outputs = np.zeros((order + 1 + inputs, 2, depth))
+        x = np.empty((order + 1 + inputs, width))  # state, current, g
+        y, later, sampled = np.empty((order, width)), np.empty((inputs, width)), np.empty((2, width))
+        response = np.empty((2 * substeps, width))
+        arriving, friction, rate = np.empty((substeps, width)), np.empty(width), np.empty((3, width))
+        none = lanes - lanes  # a zero that is no literal: for one the helpers would be compiled again
+        for first in range(0, lanes, width):
+            w = min(width, lanes - first)
+            if own or first == 0:
+                count = w if own else 1
+                gather(advance, first, count, s, order + 1, transition, none)
+                gather(slope, first, count, s, none, change, none)
+                gather(C, first, count, s, order, outputs, none)
+                gather(D, first, count, s, none, outputs, order + 1)
+            for n in range(w):
+                lane = first + n
+                for i in range(order):
+                    x[i, n] = state[lane, i]
+                friction[n] = coulomb[lane if len(coulomb) > 1 else 0]
+                for i in range(3):
+                    rate[i, n] = valve[lane if len(valve) > 1 else 0, i]
+                picks = arrival[lane if len(arrival) > 1 else 0]
+                for j in range(substeps):
+                    arriving[j, n] = picks[j, commands] * command[lane]
+                    for i in range(commands):
+                        arriving[j, n] += picks[j, i] * state[lane, order + i]
+            follow(
+                x, y, later, sampled, arriving, transition, change, outputs, v, s, friction, rate,
+                response, w,
+            )  # fmt: skip
+            for n in range(w):
+                lane = first + n
+                for i in range(order):
+                    moved[lane, i] = x[i, n]
+                for j in range(substeps):
+                    acceleration[lane, j] = response[j, n]
+                    shear[lane, j] = response[substeps + j, n]
+                for i in range(commands):
+                    moved[lane, order + i] = (
+                        state[lane, order + i + 1] if i + 1 < commands else command[lane]
+                    )
         return number
 
-    return kept
+    return step_tables
 
 
-_step = _kept(stamp())
+_step = _cached(stamp())
 
 
 @dataclass(frozen=True)

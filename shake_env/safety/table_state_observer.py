@@ -84,7 +84,7 @@ class TableStateObserver:
         bare = bare_table(scenario)
         model = bare.period
         force = ACTUATOR + 2  # behind x_A and the bare table's one storey
-        kept = [*range(ACTUATOR), force]
+        states = [*range(ACTUATOR), force]
         mass, area = actuator.table_mass, actuator.piston_area
         C = np.zeros((len(channels.names), STATES))
         C[:ACTUATOR, :ACTUATOR] = np.eye(ACTUATOR)
@@ -100,13 +100,13 @@ class TableStateObserver:
         size = np.asarray([*table, mass * full.table_acceleration])
         unit = np.asarray([*table, full.table_acceleration])[: len(C)]
         noise = channels.noise / unit + ROUNDING
-        A = model[np.ix_(kept, kept)]
-        flow, current = model[kept, force + 1], model[kept, force + 2 :]
+        A = model[np.ix_(states, states)]
+        flow, current = model[states, force + 1], model[states, force + 2 :]
         if len(C) > ACTUATOR and math.isfinite(channels.cutoff):
             start = np.zeros(bare.outputs.shape[-1])
-            start[kept] = C[ACTUATOR]
+            start[states] = C[ACTUATOR]
             stays, row = _low_pass(scenario, np.vstack([start, bare.outputs[:, ACTUATOR]]))
-            A = np.block([[A, np.zeros((STATES, 1))], [row[kept], np.array([[stays]])]])
+            A = np.block([[A, np.zeros((STATES, 1))], [row[states], np.array([[stays]])]])
             flow, current = np.append(flow, row[force + 1]), np.vstack([current, row[force + 2 :]])
             C = np.pad(C, ((0, 0), (0, 1)))
             C[ACTUATOR] = np.eye(STATES + 1)[STATES]
@@ -196,8 +196,8 @@ class TableStateObserver:
         state = memory.state + (gain @ y[:, :, None])[:, :, 0]
         # Joseph's form, which rounding leaves positive.
         K = gain @ W * (weigh / size)[:, None, :]
-        kept = np.eye(len(self.size)) - K @ C
-        covariance = kept @ P @ np.swapaxes(kept, 1, 2) + (K * self.R) @ np.swapaxes(K, 1, 2)
+        remaining = np.eye(len(self.size)) - K @ C
+        covariance = remaining @ P @ np.swapaxes(remaining, 1, 2) + (K * self.R) @ np.swapaxes(K, 1, 2)
         fits = (faulty[:, :ACTUATOR] == 0).all(axis=1)
         variance = np.maximum(covariance[:, range(ACTUATOR), range(ACTUATOR)], 0.0)
         size = self.size[:ACTUATOR]

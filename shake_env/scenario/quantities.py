@@ -146,7 +146,7 @@ def _factor(given: str, wanted: Dimension, unit: str) -> Fraction:
 def _parsed(text: str) -> tuple[Fraction, Dimension]:
     """Return factor and dimension of a unit; a slash divides by the one unit or bracket after it."""
     spelled = re.sub(
-        "[\u207b\xb9\xb2\xb3]+", lambda found: "^" + found[0].translate(_SUPERSCRIPT), text
+        "[\u207b\xb9\xb2\xb3]+", lambda superscripts: "^" + superscripts[0].translate(_SUPERSCRIPT), text
     ).translate(_SPELLED)
     tokens, place = [], 0
     while place < len(spelled.rstrip()):

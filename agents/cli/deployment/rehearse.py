@@ -78,25 +78,26 @@ class Rehearse(FolderOptions):
         folder = self.results_folder("rehearsal")
         with progress_bar() as progress:
             task = progress.add_task("rehearsal", total=1.0)
-            found = rehearse(
+            result = rehearse(
                 self.controller,
                 scenario,
                 plan,
                 folder,
                 lambda share: progress.update(task, completed=share),
             )
-        print_rehearsal(found, console)
+        print_rehearsal(result, console)
         if folder is not None:
             console.print(f"wrote {folder}")
-        return found | {"output": None if folder is None else str(folder)}
+        return result | {"output": None if folder is None else str(folder)}
 
 
-def print_rehearsal(found: dict[str, Any], console: Console) -> None:
+def print_rehearsal(result: dict[str, Any], console: Console) -> None:
     """Print what happened, for a person."""
-    first = found["first_test"]
+    first = result["first_test"]
     console.print(
-        f"{found['controller']} ({found['runs']}): {found['tests']} tests, {found['periods']} periods "
-        f"of {1e3 * first['period']:g} ms; hard limits broken in {found['hard_limits_broken']}",
+        f"{result['controller']} ({result['runs']}): {result['tests']} tests, "
+        f"{result['periods']} periods of {1e3 * first['period']:g} ms; "
+        f"hard limits broken in {result['hard_limits_broken']}",
         highlight=False,
     )
     names = ("median_us", "p99_us", "worst_us")
@@ -106,8 +107,8 @@ def print_rehearsal(found: dict[str, Any], console: Console) -> None:
         if first[name]
     ]
     print_table(console, ("first test", "median [us]", "99 % [us]", "worst [us]"), rows)
-    counts = [(name, str(count)) for name, count in found["events"].items()]
+    counts = [(name, str(count)) for name, count in result["events"].items()]
     print_table(console, ("noticed by the table", "periods"), counts or [("nothing", "0")])
-    if found["injected"]:
-        given = [(name, str(count)) for name, count in found["injected"].items()]
+    if result["injected"]:
+        given = [(name, str(count)) for name, count in result["injected"].items()]
         print_table(console, ("injected", "number"), given)

@@ -137,13 +137,13 @@ def unnoticed(test: Rehearsal) -> list[str]:
         for fault in filter(None, row[injected].split("; ")):
             later = [text for each in test.rows[k : k + NOTICED] for text in each[events].split("; ")]
             if fault == SENSOR_STICKS:
-                seen = any(text.startswith("faulty sensor") for text in later)
-                seen = seen or len(test.rows) < k + NOTICED
+                noticed = any(text.startswith("faulty sensor") for text in later)
+                noticed = noticed or len(test.rows) < k + NOTICED
             elif fault.endswith("duplicated"):
-                seen = "measurement" in fault or "command repeated" in later
+                noticed = "measurement" in fault or "command repeated" in later
             else:
-                seen = "no command in time" in row[events] or "corrupt datagram" in row[events]
-            if not seen:
+                noticed = "no command in time" in row[events] or "corrupt datagram" in row[events]
+            if not noticed:
                 missed.append(f"{fault} in period {k}")
     return missed
 

@@ -285,7 +285,7 @@ class _Periods:
     def _await(self, k: int, sent: float, injected: list[str]) -> tuple[float | None, float | None]:
         """Return the command of period k [A] and its latency [s]; None where none comes in time."""
         until = sent + self._table.deadline
-        found: tuple[float | None, float | None] = (None, None)
+        answer: tuple[float | None, float | None] = (None, None)
         while True:
             now = time.perf_counter()
             self._link.flush(now)
@@ -303,9 +303,9 @@ class _Periods:
             for data in arrived:
                 taken = self._take(data, k)
                 if taken is not None:
-                    found = (taken, now - sent)
-            if found[0] is not None or now >= until:
-                return found
+                    answer = (taken, now - sent)
+            if answer[0] is not None or now >= until:
+                return answer
             select.select([self._endpoint], [], [], max(0.0, min(until - now, 0.0005)))
 
     def _take(self, data: bytes, k: int) -> float | None:

@@ -49,10 +49,10 @@ def write_logs(
         recorder = LogRecorder(scenario, earthquakes)
         controller = Supervised(each, scenario) if supervised else each
 
-        def told(share: float, name: str = name) -> None:
+        def report(share: float, name: str = name) -> None:
             on_progress(name, share)
 
-        rollout(controller, scenario, earthquakes, on_step=told, log=recorder)
+        rollout(controller, scenario, earthquakes, on_step=report, log=recorder)
         for log in recorder.logs(Path(name).stem):
             file = folder / (re.sub(r"[^\w.-]+", "_", log.name).strip("._") + ending)
             write_log(log, file)

@@ -21,6 +21,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
 from stable_baselines3.common.utils import safe_mean, update_learning_rate
 
+from agents.learning.apg.actor_critic import features, set_gradient, trained_parameters, value
 from agents.learning.apg.loop_gradient import Kept
 from agents.learning.apg.td_lambda import td_lambda_targets
 from agents.learning.apg.window_rollout import Window, WindowRollout
@@ -30,7 +31,6 @@ from shake_env.errors import ParameterError
 from shake_env.simulation.engine import LaneState
 
 STEP_TRIALS = 4  # lengths of a step that are tried, the last of them 0
-Seen = tuple[torch.Tensor, torch.Tensor]  # what actor and critic see of an observation
 
 
 class AnalyticPolicyGradient(BaseAlgorithm):
@@ -127,18 +127,10 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         _init_setup_model: bool = True,
     ) -> None:
         super().__init__(
-            policy,
-            env,
-            learning_rate,
-            policy_kwargs=policy_kwargs,
-            stats_window_size=stats_window_size,
-            tensorboard_log=tensorboard_log,
-            verbose=verbose,
-            device=device,
-            support_multi_env=True,
-            seed=seed,
-            supported_action_spaces=(spaces.Box,),
-        )
+            policy, env, learning_rate, policy_kwargs=policy_kwargs, stats_window_size=stats_window_size,
+            tensorboard_log=tensorboard_log, verbose=verbose, device=device, support_multi_env=True,
+            seed=seed, supported_action_spaces=(spaces.Box,),
+        )  # fmt: skip
         if plant_dtype not in ("float64", "float32"):
             raise ParameterError("plant_dtype", plant_dtype, "known: float32, float64")
         if checkpoint < 0:
@@ -171,18 +163,9 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         if not isinstance(self.policy, ActorCriticPolicy) or self.policy.use_sde:
             raise ParameterError("policy", self.policy_class.__name__, "must be a Gaussian actor-critic")
         self.slow_policy = copy.deepcopy(self.policy).requires_grad_(False)
-        critic = {
-            id(p)
-            for module in (self.policy.mlp_extractor.value_net, self.policy.value_net)
-            for p in module.parameters()
-        }
-        if not self.policy.share_features_extractor:
-            critic |= {id(p) for p in self.policy.vf_features_extractor.parameters()}
         slow = self.slow_policy.parameters()
         self._slow = {id(p): q for p, q in zip(self.policy.parameters(), slow, strict=True)}
-        trained = [p for p in self.policy.parameters() if p.requires_grad]
-        self._critic = [p for p in trained if id(p) in critic]
-        self._actor = [p for p in trained if id(p) not in critic and p is not self.policy.log_std]
+        self._actor, self._critic = trained_parameters(self.policy)
 
     @property
     def tables(self) -> WindowRollout:
@@ -238,8 +221,8 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         rate = self.lr_schedule(self._current_progress_remaining)
         update_learning_rate(self.policy.optimizer, rate)
         start = (self.tables.env.get_state(), self.memory) if self.step_check else None
-        loss, window, seen = self.window_loss()
-        norm = self._gradient(loss, self._actor)
+        loss, window, critic_features = self.window_loss()
+        norm = set_gradient(self.policy, loss, self._actor, self.max_grad_norm)
         if np.isfinite(norm):
             self._follow(self._actor)
             before = [parameter.detach().clone() for parameter in self._actor]
@@ -250,7 +233,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
             self._retreat()
         if self.terminal_value:
             update_learning_rate(self.policy.optimizer, rate * self.critic_learning_rate)
-            self.logger.record("train/value_loss", self._fit_critic(window, seen))
+            self.logger.record("train/value_loss", self._fit_critic(window, critic_features))
             self._follow(self._critic)
         self._last_obs, done, infos = self.tables.sync_env(window)
         self._last_episode_starts = done
@@ -270,45 +253,41 @@ class AnalyticPolicyGradient(BaseAlgorithm):
 
         Returns
         -------
-        loss, window, seen
+        loss, window, critic_features
             What the actor descends: the mean discounted stage cost of the window and of what follows it,
-            in units of the environment's reward; the window; and what the critic sees at its H + 1 ends
-            of control periods, nothing without a terminal value.
+            in units of the environment's reward; the window; and the critic's features at its H + 1
+            ends of control periods, none without a terminal value.
         """
         assert isinstance(self.policy.action_net, torch.nn.Linear)  # as for any Gaussian action
         dtype = self.policy.action_net.weight.dtype
 
         def act(observation: torch.Tensor, memory: Kept) -> tuple[torch.Tensor, Kept, Kept]:
-            (actor, critic), memory = self._look(observation.to(dtype), memory)
+            (actor, critic), memory = features(self.policy, observation.to(dtype), memory)
             action = self.policy.action_net(self.policy.mlp_extractor.forward_actor(actor))[:, 0]
             return action, memory, critic if self.terminal_value else None
 
         window = self.tables.rollout(
-            act,
-            self.window,
-            recalled=self._begin(),
-            segment=self.checkpoint,
-            parameters=self._actor,
+            act, self.window, recalled=self._begin(), segment=self.checkpoint, parameters=self._actor
         )
         self.memory = None if window.recalled is None else window.recalled.detach()
-        seen: list[torch.Tensor] = []
+        critic_features: list[torch.Tensor] = []
         if self.terminal_value and window.history is not None:
             whole = window.history.shape[:-1]
-            (_, critic), _ = self._look(window.history.flatten(end_dim=1).to(dtype), None)
-            seen = list(critic.reshape(*whole, -1))
+            (_, critic), _ = features(self.policy, window.history.flatten(end_dim=1).to(dtype), None)
+            critic_features = list(critic.reshape(*whole, -1))
         elif window.aside is not None:
-            (_, critic), _ = self._look(window.shown.to(dtype), window.recalled)
-            seen = [*window.aside, critic]
+            (_, critic), _ = features(self.policy, window.shown.to(dtype), window.recalled)
+            critic_features = [*window.aside, critic]
         steps = torch.arange(self.window, device=self.device)
         discount = (self.gamma**steps).to(window.rewards.dtype)
         total = (discount[:, None] * window.rewards).sum(dim=0)
         if self.terminal_value:
             lanes = torch.arange(len(window.ends), device=self.device)
-            last = torch.stack(seen)[window.ends, lanes]
-            value = self._value(self.slow_policy, last).to(total.dtype)
-            follows = torch.where(window.terminated, 0.0, self.gamma ** window.ends.to(total) * value)
+            last = torch.stack(critic_features)[window.ends, lanes]
+            at_end = value(self.slow_policy, last).to(total.dtype)
+            follows = torch.where(window.terminated, 0.0, self.gamma ** window.ends.to(total) * at_end)
             total = total + follows
-        return -total.mean() / discount.sum(), window, [each.detach() for each in seen]
+        return -total.mean() / discount.sum(), window, [each.detach() for each in critic_features]
 
     def _begin(self) -> torch.Tensor | None:
         """Return the policy's memory at the window's start, at rest where an episode begins."""
@@ -320,33 +299,6 @@ class AnalyticPolicyGradient(BaseAlgorithm):
             return rest
         begun = torch.as_tensor(self._last_episode_starts, device=self.device)[:, None]
         return torch.where(begun, 0.0, self.memory.to(rest))
-
-    def _look(
-        self, observation: torch.Tensor, memory: torch.Tensor | None
-    ) -> tuple[Seen, torch.Tensor | None]:
-        """Return what actor and critic see, and the policy's new memory."""
-        if isinstance(self.policy, GRUPolicy):
-            assert memory is not None  # `_begin` made it
-            seen, memory = self.policy.recall(observation, memory)
-            return (seen, seen), memory
-        # The extractors themselves: SB3's preprocessing of a Box is a cast to single precision.
-        actor: torch.Tensor = self.policy.pi_features_extractor(observation)
-        if self.policy.share_features_extractor:
-            return (actor, actor), None
-        return (actor, self.policy.vf_features_extractor(observation)), None
-
-    @staticmethod
-    def _value(policy: ActorCriticPolicy, seen: torch.Tensor) -> torch.Tensor:
-        values: torch.Tensor = policy.value_net(policy.mlp_extractor.forward_critic(seen))[..., 0]
-        return values
-
-    def _gradient(self, loss: torch.Tensor, parameters: list[torch.nn.Parameter]) -> float:
-        """Set the gradient of some parameters alone, bounded, and return its norm before the bound."""
-        gradients = torch.autograd.grad(loss, parameters, allow_unused=True)
-        self.policy.optimizer.zero_grad(set_to_none=True)
-        for parameter, gradient in zip(parameters, gradients, strict=True):
-            parameter.grad = gradient
-        return float(torch.nn.utils.clip_grad_norm_(parameters, self.max_grad_norm))
 
     def _step(self) -> None:
         self.policy.optimizer.step()
@@ -385,16 +337,15 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.retreats += 1
 
     @torch.no_grad()
-    def _targets(self, window: Window, seen: torch.Tensor) -> torch.Tensor:
+    def _targets(self, window: Window, stacked: torch.Tensor) -> torch.Tensor:
         """Return TD(lambda) targets (H, N) by the slow critic, and of use up to each lane's end."""
-        values = self._value(self.slow_policy, seen).cpu().numpy()
-        rewards = window.rewards.detach().cpu().numpy()
-        ended = window.broken != 0
+        values = value(self.slow_policy, stacked).cpu().numpy()
+        rewards, ended = window.rewards.detach().cpu().numpy(), window.broken != 0
         targets = td_lambda_targets(rewards, values, window.steps, ended, self.gamma, self.td_lambda)
-        return torch.as_tensor(targets, dtype=seen.dtype, device=seen.device)
+        return torch.as_tensor(targets, dtype=stacked.dtype, device=stacked.device)
 
-    def _fit_critic(self, window: Window, seen: list[torch.Tensor]) -> float:
-        stacked = torch.stack(seen)
+    def _fit_critic(self, window: Window, critic_features: list[torch.Tensor]) -> float:
+        stacked = torch.stack(critic_features)
         targets = self._targets(window, stacked)
         steps = torch.arange(self.window, device=stacked.device)
         counted = steps[:, None] < window.ends
@@ -402,8 +353,9 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         losses = []
         for _ in range(self.critic_epochs):
             for part in torch.randperm(len(inputs)).to(inputs.device).chunk(self.critic_batches):
-                loss = torch.nn.functional.mse_loss(self._value(self.policy, inputs[part]), goals[part])
-                if np.isfinite(self._gradient(loss, self._critic)):
+                loss = torch.nn.functional.mse_loss(value(self.policy, inputs[part]), goals[part])
+                norm = set_gradient(self.policy, loss, self._critic, self.max_grad_norm)
+                if np.isfinite(norm):
                     self._step()
                 losses.append(loss.item())
         return float(np.mean(losses))

@@ -197,7 +197,7 @@ class ClosedLoop:
         inside = np.abs(passage.total) <= 1.0 if self.base is not None else np.ones((steps, lanes), bool)
         heard = np.abs(passage.correction) <= 1.0
         shown = slopes["shown"].copy()
-        found = np.empty((steps, lanes))
+        along_actions = np.empty((steps, lanes))
         state = np.zeros(passage.state.shape[1:])
         out = np.zeros((lanes, len(signals.matrix)))
         width = rows["observation"].stop - rows["observation"].start
@@ -233,11 +233,11 @@ class ClosedLoop:
                 passage.begun[t], current, (np.ascontiguousarray(state), acceleration, shear)
             )
             action = (action + limit * toward) * inside[t]
-            found[t] = self.authority * action * heard[t]
-            shown[t] += found[t][:, None] * along[t]
+            along_actions[t] = self.authority * action * heard[t]
+            shown[t] += along_actions[t][:, None] * along[t]
             if self.base is not None:
                 shown[t] += action[:, None] * self.base
-        return found
+        return along_actions
 
     def _exogenous(self, ground: GroundPeriod) -> FloatArray:
         """Return rows (H, N, columns) of which what the ground decides is filled in."""

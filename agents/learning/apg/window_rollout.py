@@ -238,7 +238,7 @@ class WindowRollout:
         last: int,
         state: torch.Tensor,
         observation: torch.Tensor,
-        kept: torch.Tensor,
+        finite: torch.Tensor,
         law_memory: Kept,
         recalled: Kept,
         *sensors: torch.Tensor,
@@ -268,11 +268,11 @@ class WindowRollout:
             responses.append(response)
             currents.append(current)
             # A diverged table is put to rest, so that no gradient meets an infinite number.
-            kept = kept & self._finite(model, response.state)
-            state = torch.where(kept[:, None], response.state, 0.0)
-            seen = replace(response, state=state)
+            finite = finite & self._finite(model, response.state)
+            state = torch.where(finite[:, None], response.state, 0.0)
+            reached = replace(response, state=state)
             floors = model.floors(state) if self._measures_floors else None
-            observation, memory = model.look(seen, floors, period, action, memory, ahead.noise[t])
+            observation, memory = model.look(reached, floors, period, action, memory, ahead.noise[t])
         stacked = PeriodResponse(
             *(torch.stack([getattr(r, f.name) for r in responses]) for f in fields(PeriodResponse))
         )
@@ -284,7 +284,7 @@ class WindowRollout:
             torch.stack(aside) if aside else None,
             state,
             observation,
-            kept,
+            finite,
             law_memory,
             recalled,
             *(getattr(memory, f.name) for f in fields(SensorMemory)),
@@ -301,11 +301,11 @@ class WindowRollout:
         :meth:`ShakeTableVecEnv.advance_to` returns.
         """
         memory = {f.name: _numpy(getattr(window.memory, f.name)) for f in fields(SensorMemory)}
-        seen = np.clip(_numpy(window.observation), -OBSERVATION_BOUND, OBSERVATION_BOUND)
+        observation = np.clip(_numpy(window.observation), -OBSERVATION_BOUND, OBSERVATION_BOUND)
         return self.env.advance_to(
             _numpy(window.state),
             SensorMemory(**memory),
-            seen.astype(np.float32),
+            observation.astype(np.float32),
             steps=window.steps,
             returns=window.returns,
             broken=window.broken,

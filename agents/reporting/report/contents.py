@@ -156,8 +156,8 @@ def make_report(
     """
     scenario = gathered.scenario
     labels = unique_labels(list(comparison.episodes))
-    found = verdict(comparison, scenario, labels.__getitem__)
-    members = [i for i, group in enumerate(comparison.groups) if group == found.group]
+    judgement = verdict(comparison, scenario, labels.__getitem__)
+    members = [i for i, group in enumerate(comparison.groups) if group == judgement.group]
     trade_off = {}
     for name, rows in comparison.episodes.items():
         errors = np.array(
@@ -169,12 +169,12 @@ def make_report(
         comparison=comparison,
         scenario=scenario,
         gathered=gathered,
-        verdict=found,
+        verdict=judgement,
         labels=labels,
         channels=channels(scenario),
         trade_off=trade_off,
         # It is of filtered noise; under other motions a law may do better, or worse.
-        frontier=lqr_frontier(scenario) if found.group == "filtered noise" else [],
+        frontier=lqr_frontier(scenario) if judgement.group == "filtered noise" else [],
         drawn=Drawn.of(scenario, gathered.earthquakes),
         learning={name: curve for name, curve in learning.items() if len(curve) > 1},
         policies=policy_files_of(comparison.episodes, known_name(scenario)),
@@ -220,25 +220,25 @@ def unique_labels(names: Sequence[str]) -> dict[str, str]:
     def end(name: str, count: int) -> str:
         return "/".join(parts[name][-count:])
 
-    found = {}
+    labels = {}
     for name in names:
         count = 1
         others = [other for other in names if other != name]
         while count < len(parts[name]) and any(end(o, count) == end(name, count) for o in others):
             count += 1
-        found[name] = end(name, count)
-    return found
+        labels[name] = end(name, count)
+    return labels
 
 
 def policy_files_of(episodes: Iterable[str], scenario_name: str) -> dict[str, PolicyFile]:
     """Return the policies among the controllers' names, those that ship as the scenario has them."""
-    found = {}
+    files = {}
     for name in episodes:
         file = policy_path(name, scenario_name)
         if name not in SHIPPED and file.suffix != ".safetensors":
             continue
         try:
-            found[name] = load_policy(file)
+            files[name] = load_policy(file)
         except PolicyFileError:
             continue  # moved since it ran: the report does without its card
-    return found
+    return files

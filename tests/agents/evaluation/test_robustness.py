@@ -41,6 +41,7 @@ from agents.reporting.robustness_tables import (
     where,
     write_robustness,
 )
+from agents.scenario_options import ScenarioOptions
 from baselines.lqr.sampled import lqr, sampled_lqr, stationary_performance
 from baselines.registry import make_baseline
 from shake_env import make_scenario
@@ -132,7 +133,7 @@ def test_values_hold_what_they_are_made_for_and_reach_beyond_training():
 
 
 def test_printed_equations_have_neither_friction_nor_delay():
-    scenario = make_scenario("as-printed")
+    scenario = make_scenario("as-printed", {"duration": 0.4})
     grid = Grid.of(scenario)
     assert set(QUANTITIES) - set(grid.sweeps) == {"coulomb_friction", "delay"}
     quantities = ("mass_ratio", "damping_ratio")
@@ -381,6 +382,8 @@ def test_all_runs_what_does_not_hold_any_more(tmp_path, monkeypatch, capsys):
     assert main(["robustness", "--all"]) == 2
     assert "run --all in the project's folder" in capsys.readouterr().err
     monkeypatch.setattr("agents.cli.robustness.SHOWN", ("linear",))
+    build = ScenarioOptions.build
+    monkeypatch.setattr(ScenarioOptions, "build", lambda options: build(replace(options, duration=0.4)))
     monkeypatch.setattr("agents.evaluation.robustness.DEFAULT_BASELINES", {})
     monkeypatch.setattr("agents.evaluation.robustness.SHIPPED", {})
     page, file = tmp_path / "docs" / "robustness.md", tmp_path / "docs/results/robustness_linear.json"

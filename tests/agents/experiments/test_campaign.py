@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from agents.training.run import resume, train, train_or_resume
 from shake_env.errors import ParameterError, RunDirectoryError, ScenarioError
 
 SMALL = TrainConfig(
+    scenario=ScenarioOptions(duration=1.0),
     ppo=PPOOptions(n_envs=4, n_steps=16, batch_size=64, n_epochs=1),
     net_arch=(8,),
     episode_duration=0.2,
@@ -100,7 +102,8 @@ def test_what_is_done_is_done_and_another_configuration_is_left_alone(campaigned
     assert plan([GOOD], folder)[0].state == "done"
 
 
-def test_an_evaluation_holds_until_its_policies_change(campaigned, tmp_path):
+def test_an_evaluation_holds_until_its_policies_change(campaigned, tmp_path, monkeypatch):
+    monkeypatch.setattr("agents.experiments.results.evaluate", partial(evaluate, resamples=50))
     folder = tmp_path / "campaign"
     shutil.copytree(campaigned[0], folder)
     task = EvaluationTask(

@@ -9,6 +9,7 @@ import optuna
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 
 from agents.__main__ import main
 from agents.experiments import catalogue
@@ -32,6 +33,7 @@ from agents.experiments.search_trace import (
 )
 from agents.progress import Progress
 from agents.run_directory import locked
+from agents.scenario_options import ScenarioOptions
 from agents.seeds import EVALUATION_SEED, TEST_SEED
 from agents.training.algorithm_options import PPOOptions, SACOptions
 from agents.training.config import TrainConfig, config_of
@@ -39,6 +41,7 @@ from baselines.lqr.sampled import lqr
 from shake_env.errors import ParameterError, RunDirectoryError, ScenarioError
 
 SMALL = TrainConfig(
+    scenario=ScenarioOptions(duration=1.0),
     ppo=PPOOptions(n_envs=4, n_steps=16, batch_size=32, n_epochs=1),
     net_arch=(8,),
     episode_duration=0.2,
@@ -49,6 +52,18 @@ SMALL = TrainConfig(
 )
 TINY = ExperimentConfig(evaluation_task="linear", config=SMALL, minutes=0.1)
 SEARCH = Search(experiment=TINY, share=0.5, earthquakes=2)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _short_validation_without_figures():
+    """What a search is judged on lasts a second, and no evaluation draws one."""
+    task = replace(
+        next(t for t in catalogue.EVALUATION_TASKS if t.name == "linear"), options=SMALL.scenario
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("agents.experiments.search_objective.EVALUATION_TASKS", (task,))
+        patch.setattr("agents.training.watch.example_figure", lambda trajectory, title: Figure())
+        yield
 
 
 # The space

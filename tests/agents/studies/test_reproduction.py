@@ -29,7 +29,7 @@ OMEGA = 2.0 * np.pi * np.array([0.3, 1.0, 4.3, 11.0, 40.0])
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("reproduction")
     lines = []
-    results = reproduce(folder, lines.append, frequency_points=60, sweep_points=5)
+    results = reproduce(folder, lines.append, frequency_points=20, sweep_points=3)
     return folder, results, lines
 
 

@@ -26,10 +26,11 @@ from agents.training.run import resume, train
 from shake_env.errors import ParameterError, RunDirectoryError
 
 
-def small(algorithm, memory=0, paired=False, **changes):
+def small(algorithm, memory=0, paired=False, scenario="linear", **changes):
     """A run of a few seconds that checkpoints between any two roll-outs."""
     return TrainConfig(
         algorithm=algorithm,
+        scenario=ScenarioOptions(scenario, duration=1.0),
         ppo=PPOOptions(n_envs=4, n_steps=32, batch_size=64, n_epochs=2, paired=paired),
         sac=SACOptions(
             n_envs=4,
@@ -72,14 +73,14 @@ def small(algorithm, memory=0, paired=False, **changes):
         ("sac", {}),
         ("td3", {}),  # with a replay buffer that is full when the run is cut
         ("tqc", {}),
-        ("recurrent-ppo", {"scenario": ScenarioOptions("unknown-specimen")}),
+        ("recurrent-ppo", {"scenario": "unknown-specimen"}),
         ("apg", {}),
-        ("apg", {"memory": 8, "scenario": ScenarioOptions("unknown-specimen")}),
-        ("apg", {"num_artificial_motions": 3, "scenario": ScenarioOptions("laboratory")}),
-        ("ppo", {"paired": True, "scenario": ScenarioOptions("unknown-specimen")}),
-        ("recurrent-ppo", {"paired": True, "scenario": ScenarioOptions("laboratory")}),
+        ("apg", {"memory": 8, "scenario": "unknown-specimen"}),
+        ("apg", {"num_artificial_motions": 3, "scenario": "laboratory"}),
+        ("ppo", {"paired": True, "scenario": "unknown-specimen"}),
+        ("recurrent-ppo", {"paired": True, "scenario": "laboratory"}),
         ("sac", {"paired": True}),
-        ("dagger", {"scenario": ScenarioOptions("laboratory")}),
+        ("dagger", {"scenario": "laboratory"}),
     ],
     ids=str,
 )

@@ -96,7 +96,7 @@ def test_without_a_folder_that_can_be_written_one_line_says_so(monkeypatch, capl
         return njit(*given, **options)
 
     monkeypatch.setattr(compiling, "njit", refusing)
-    assert compiling.kept(int64(int64), lambda x: x + 1)(2) == 3
+    assert compiling.cached(int64(int64), lambda x: x + 1)(2) == 3
     assert [record.message for record in caplog.records] == [
         "no folder for compiled functions can be written: they are compiled in every process "
         "(NUMBA_CACHE_DIR names another folder)"
