@@ -24,7 +24,7 @@ from agents.evaluation.perturbations import (
     training_range,
 )
 from agents.policies.policy_file import PolicyFile, digest
-from agents.policies.registry import ORACLE, SHIPPED, policy_path, shipped_policy
+from agents.policies.registry import ORACLE, policies_trained_for, policy_path
 from agents.provenance import code_version, machine
 from agents.seeds import ROBUSTNESS_SEED
 from baselines.tuned_values import TunedValues
@@ -114,8 +114,7 @@ def default_controllers(scenario: Scenario) -> tuple[str, ...]:
     """Return the policies that ship for a scenario, and the classical ones beside."""
     known = known_name(scenario)
     trained = scenario.train_on or known
-    own = (name for name in SHIPPED if shipped_policy(name, known).stem.startswith(f"{trained}-"))
-    return (*own, *DEFAULT_BASELINES.get(known, ()))
+    return (*policies_trained_for(trained), *DEFAULT_BASELINES.get(known, ()))
 
 
 def controllers_with_sources(

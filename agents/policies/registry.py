@@ -33,7 +33,7 @@ from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import Scenario
 
 ORACLE = "oracle"  # a full-state law for the true plants, see `baselines.lqr.oracle`
-SHIPPED = ("ppo", "apg", "sac")  # algorithms whose policies come with the package
+SHIPPED = ("ppo", "apg", "dagger", "sac")  # algorithms whose policies come with the package
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,8 @@ def controllers() -> dict[str, ControllerEntry]:
         ControllerEntry(ORACLE, "oracle", "linear law for the true plant: full state, 0.5 s of preview")
     )
     for name in SHIPPED:
-        files = dict.fromkeys(shipped_policy(name, scenario).stem for scenario in NAMED)
+        found = (_shipped_file(name, scenario) for scenario in NAMED)
+        files = dict.fromkeys(file.stem for file in found if file is not None)
         summary = f"learned; as the scenario has it: {', '.join(files)}"
         entries.append(ControllerEntry(name, "shipped", summary))
     return {entry.name: entry for entry in entries}
@@ -216,14 +217,32 @@ def shipped_policy(algorithm: str = "ppo", scenario_name: str = "linear") -> Pat
     Raises
     ------
     ScenarioError
-        If no policy of that algorithm comes with the package.
+        If no policy of that algorithm comes with the package, or none for such a scenario.
     """
     algorithm = renamed("controller", algorithm, CONTROLLERS)
     if algorithm not in SHIPPED:
         raise unknown(ScenarioError, "shipped policy", algorithm, SHIPPED)
+    file = _shipped_file(algorithm, scenario_name)
+    if file is None:
+        remedy = f"none ships for {scenario_name}: shake list policies names those that do"
+        raise ScenarioError("shipped policy", algorithm, remedy)
+    return file
+
+
+def _shipped_file(algorithm: str, scenario_name: str) -> Path | None:
     folder = Path(str(resources.files("agents").joinpath("pretrained")))
-    own = folder / f"{_trained_on(scenario_name)}-{algorithm}.safetensors"
-    return own if own.is_file() else folder / f"linear-{algorithm}.safetensors"
+    for stem in (_trained_on(scenario_name), "linear"):
+        file = folder / f"{stem}-{algorithm}.safetensors"
+        if file.is_file():
+            return file
+    return None
+
+
+def policies_trained_for(scenario_name: str) -> tuple[str, ...]:
+    """Return the algorithms, in the order of `SHIPPED`, whose policy was trained for a scenario."""
+    stem = _trained_on(scenario_name)
+    files = {name: _shipped_file(name, scenario_name) for name in SHIPPED}
+    return tuple(name for name, file in files.items() if file and file.stem == f"{stem}-{name}")
 
 
 __all__ = [

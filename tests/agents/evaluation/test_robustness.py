@@ -385,7 +385,7 @@ def test_all_runs_what_does_not_hold_any_more(tmp_path, monkeypatch, capsys):
     build = ScenarioOptions.build
     monkeypatch.setattr(ScenarioOptions, "build", lambda options: build(replace(options, duration=0.4)))
     monkeypatch.setattr("agents.evaluation.robustness.DEFAULT_BASELINES", {})
-    monkeypatch.setattr("agents.evaluation.robustness.SHIPPED", {})
+    monkeypatch.setattr("agents.evaluation.robustness.policies_trained_for", lambda _: ())
     page, file = tmp_path / "docs" / "robustness.md", tmp_path / "docs/results/robustness_linear.json"
     page.parent.mkdir()
     page.write_text("<!-- robustness linear -->\n<!-- end linear -->\n")

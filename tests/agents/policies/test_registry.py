@@ -9,6 +9,7 @@ from agents.policies.registry import (
     SHIPPED,
     find_controller,
     get_controller,
+    policies_trained_for,
     policy_path,
     shipped_policy,
 )
@@ -17,7 +18,7 @@ from shake_env import make_scenario
 from shake_env.errors import PolicyFileError, ScenarioError
 
 
-@pytest.mark.parametrize("name", ["lqr", "none", *SEARCHED, *SHIPPED])
+@pytest.mark.parametrize("name", ["lqr", "none", *SEARCHED, "ppo", "apg", "sac"])
 def test_a_name_is_a_controller(name):
     controller = get_controller(name, make_scenario("linear"))
     assert hasattr(controller, "predict")
@@ -37,6 +38,12 @@ def test_a_scenario_gets_the_policy_that_ships_for_it():
     assert policy_path("apg", "records").name == "laboratory-apg.safetensors"
 
 
+def test_the_policies_of_a_scenario_are_those_trained_for_it():
+    assert policies_trained_for("linear") == ("ppo", "apg", "sac")
+    assert "sac" not in policies_trained_for("laboratory")  # the linear table's is handed out there
+    assert policies_trained_for("records") == policies_trained_for("laboratory")
+
+
 def test_a_renamed_scenario_gets_the_same_policy():
     renamed = make_scenario("laboratory", {"fields": {"name": "mytable"}})
     same = get_controller("apg", make_scenario("laboratory")).card
@@ -51,5 +58,7 @@ def test_what_is_no_controller_is_refused():
         find_controller("everything", "everyone")
     with pytest.raises(PolicyFileError, match="no such file"):
         get_controller("nowhere/policy.safetensors", scenario)
+    with pytest.raises(ScenarioError, match="none ships for linear"):
+        get_controller("dagger", scenario)
     with pytest.raises(PolicyFileError, match="observation size"):
         get_controller("sac", make_scenario("laboratory"))
