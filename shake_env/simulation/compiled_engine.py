@@ -376,17 +376,20 @@ class CompiledEngine:
         """Take the plants of some lanes from the model's stacks, which have changed."""
         index = np.asarray(lanes, dtype=int)
         block, column = index // self._block, index % self._block
-        for name, matrix in matrices(self._tables).items():
+        chosen = index if self._own else None
+        for name, matrix in matrices(self._tables, chosen).items():
             start, length = self._packed.matrices[name]
-            part = self._matrices[:, start : start + length]
+            if not length:
+                continue
             flat = matrix.swapaxes(-1, -2)
             if self._own:
-                part[block, :, column] = flat[index].reshape(len(index), length)
+                part = self._matrices[:, start : start + length]
+                part[block, :, column] = flat.reshape(len(index), length)
             else:
-                part[0, :, 0] = flat.reshape(-1)
+                self._matrices[0, start : start + length, 0] = flat.reshape(-1)
         if self._own:
-            for name, values in lane_rows(self._tables).items():
-                self._fields(name)[block, :, column] = values[index]
+            for name, values in lane_rows(self._tables, chosen).items():
+                self._fields(name)[block, :, column] = values
 
     def get_state(self) -> LaneState:
         """Return everything that `set_state` needs to go on exactly; see `engine.Engine`."""
