@@ -296,6 +296,19 @@ def test_without_numba_the_model_steps(monkeypatch):
 
 
 @pytest.mark.parametrize("compiled", [True, False])
+def test_an_action_of_single_precision_is_the_same_number(compiled, monkeypatch):
+    """As the vector environments hand it over."""
+    monkeypatch.setattr(numba_support, "COMPILED", compiled)
+    action = np.array([0.1, -0.7, 0.3], dtype=np.float32)
+    rewards = []
+    for each in (action, action.astype(float)):
+        sim = Simulation(make_scenario("laboratory"), 3)
+        sim.start(range(3), [np.random.default_rng(i) for i in range(3)])
+        rewards.append([sim.step(each).reward.copy() for _ in range(5)])
+    np.testing.assert_array_equal(*rewards)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
 def test_a_sharp_knee_stays_finite(compiled, monkeypatch):
     monkeypatch.setattr(numba_support, "COMPILED", compiled)
     law = Yielding(yield_drift=0.001, exponent=20.0)
