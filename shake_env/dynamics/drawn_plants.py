@@ -8,8 +8,10 @@ Storeys are a chain, and the equations the corrected ones.
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -32,13 +34,17 @@ IntArray = NDArray[np.int64]
 Rows = list[list[float]]
 
 
+@lru_cache
+def _compiled() -> Any:
+    """Return :mod:`shake_env.kernels.small_matrices`, which the caller has found to be there."""
+    return importlib.import_module("shake_env.kernels.small_matrices")
+
+
 class DrawnPlants:
     """What the plants of a fleet have in common, and the stacks that their matrices go to.
 
     Parameters
     ----------
-    compiled
-        The module :mod:`shake_env.kernels.small_matrices`.
     ground, parts, low_passes, dt
         Of the scenario.
     force_weight
@@ -50,7 +56,6 @@ class DrawnPlants:
 
     def __init__(
         self,
-        compiled: Any,
         ground: GroundFilter,
         parts: Nonlinearity,
         low_passes: Sequence[LowPass],
@@ -58,7 +63,7 @@ class DrawnPlants:
         force_weight: float,
         stacks: Mapping[str, FloatArray | None],
     ) -> None:
-        self._compiled, self._ground, self._parts, self._dt = compiled, ground, parts, dt
+        self._ground, self._parts, self._dt = ground, parts, dt
         self._low_passes, self._force_weight = low_passes, force_weight
         self._stacks: dict[str, Any] = dict(stacks)
         plain = GroundFilter(frequency=ground.frequency, damping_ratio=ground.damping_ratio)
@@ -100,13 +105,13 @@ class DrawnPlants:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the first-order hold (P, ...): A, and what levels and slopes of the inputs add."""
         moved, level, slope = np.empty_like(A), np.empty_like(B), np.empty_like(B)
-        self._compiled.holds(A, B, scale, self._dt, moved, level, slope)
+        _compiled().holds(A, B, scale, self._dt, moved, level, slope)
         return moved, level, slope
 
     def _stationary(self, A: FloatArray, B: FloatArray) -> FloatArray:
         """Return the stationary covariances (P, n, n) under white noise through B (P, n)."""
         covariance = np.empty_like(A)
-        self._compiled.stationary_covariances(A, B, covariance)
+        _compiled().stationary_covariances(A, B, covariance)
         return covariance
 
     def _scale(self, actuators: Sequence[Actuator], specimens: Sequence[Specimen]) -> FloatArray:
@@ -231,13 +236,13 @@ class DrawnPlants:
         generator[:, :e, :e], generator[:, e:, e:] = -scaled, scaled.swapaxes(1, 2)
         generator[:, 1, e + 1] = driven[:, 1] ** 2
         power, _, _ = self._hold(generator, np.empty((P, 2 * e, 0)), np.ones((P, 2 * e)))
-        made: int = self._compiled.noise_maps(power, own, rows, index, stacks["noise"])
+        made: int = _compiled().noise_maps(power, own, rows, index, stacks["noise"])
         pushed = np.zeros((P, 2 * n, 1))
         pushed[:, n:] = -1.0
         reference = np.ascontiguousarray(A[:, w:, w:])
         held, level, slope = self._hold(reference, pushed, own[:, w:].copy())
         shear = rows[:, 1:, w:].copy()
-        self._compiled.periods(held, level - slope, slope, shear, index, stacks["record"])
+        _compiled().periods(held, level - slope, slope, shear, index, stacks["record"])
         return min(sound, made)
 
     def _put_yielding(

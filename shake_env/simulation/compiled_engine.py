@@ -31,7 +31,7 @@ from shake_env.simulation.engine import (
     Tables,
 )
 from shake_env.simulation.excitation import motion_array
-from shake_env.simulation.helper_thread import Helper
+from shake_env.simulation.helper_thread import Helpers
 from shake_env.simulation.motion_shapes import first_target, initial_filter_state, shape
 from shake_env.simulation.output_pool import OutputPool
 from shake_env.simulation.packing import BEHIND, lane_rows, matrices, pack
@@ -40,6 +40,7 @@ from shake_env.simulation.transition import Outcome
 
 FOREVER = 1 << 62  # control periods of a table that only fills up a block
 LINE = 64  # [bytes] of a cache
+PIECES = 4  # of the tables for each thread
 A_THREAD = 512  # tables that a thread has at least: fewer take no longer than to wake it
 _AT_REPORT, _AT_SEEN, _AT_ENDS = (PLACES[f"at_{name}"] for name in ("report", "seen", "ends"))
 # What a state holds of each table, by field.
@@ -129,17 +130,18 @@ class CompiledEngine:
             | {f"vector_{name}": start for name, start in packed.vectors.items()}
         )
 
-    def _new_helpers(self, threads: int) -> list[Helper]:
-        """Return threads that step a share of the blocks each; the caller's steps the first share."""
-        bounds = [round(self._blocks * i / max(threads, 1)) for i in range(max(threads, 1) + 1)]
-        self._table[PLACES["last"]] = bounds[1]
-        self._rooms = [np.zeros_like(self._room) for _ in bounds[2:]]
-        for first, last, room in zip(bounds[1:], bounds[2:], self._rooms, strict=False):
+    def _new_helpers(self, threads: int) -> Helpers | None:
+        """Return what steps the tables by several threads; None where the caller's does it alone."""
+        if threads < 2:
+            return None
+        pieces = min(self._blocks, PIECES * threads)
+        bounds = [round(self._blocks * i / pieces) for i in range(pieces + 1)]
+        self._rooms = [np.zeros_like(self._room) for _ in range(threads - 1)]
+        for room in self._rooms:
             part = self._new_table(STEP)
-            part[PLACES["first"]], part[PLACES["last"]] = first, last
             part[PLACES["at_room"]] = room.ctypes.data
             self._parts.append(part)
-        return [Helper(self._period, part) for part in self._parts]
+        return Helpers(self._period, [self._table, *self._parts], bounds)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle by making the arrays anew, whose addresses are kept."""
@@ -279,11 +281,8 @@ class CompiledEngine:
         addresses = self._pool.addresses(address)
         for place in (self._table, *self._parts):
             place[_AT_REPORT], place[_AT_SEEN], place[_AT_ENDS] = addresses
-        for helper in self._helpers:
-            helper.begin()
-        ended = self._period(self._address)
-        for helper in self._helpers:
-            ended |= helper.end()
+        helpers = self._helpers
+        ended = self._period(self._address) if helpers is None else helpers()
         report, seen, terminated, truncated = self._pool.views(memory)
         return StepResult(self, seen, report, terminated, truncated, ended)
 

@@ -80,13 +80,12 @@ class Fleet:
     def _new_compiled(self) -> DrawnPlants | None:
         """Return what makes plants faster, or None where there is no numba, or no chain of storeys."""
         scenario, objective = self.scenario, self.scenario.objective
-        module = compiled_module("shake_env.kernels.small_matrices")
-        if module is None or scenario.specimen.coupled:
+        compiled = compiled_module("shake_env.kernels.small_matrices")
+        if compiled is None or scenario.specimen.coupled:
             return None
         stacks = {f"reference_{name}": stack for name, stack in self._reference.items()}
         stacks |= self._dynamics | {"noise": self._noise, "record": self._record}
         return DrawnPlants(
-            module,
             scenario.ground,
             scenario.parts,
             scenario.observation.low_passes,
