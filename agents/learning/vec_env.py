@@ -131,7 +131,7 @@ class ShakeTableVecEnv(VecEnv):
                 infos[lane] = self._final_info(result, int(lane))
             self._returns[lanes] = 0.0
             observation[lanes] = self._start(lanes.tolist())
-            shown = self._look()
+            self._look_at(lanes)
         return shown.copy(), reward, done, infos
 
     def _look(self) -> NDArray[np.float32]:
@@ -139,16 +139,31 @@ class ShakeTableVecEnv(VecEnv):
         if self.law is None:
             self._shown = self._observation
             return self._shown
-        self._known, believed = self.law.look(
-            self.law_memory, self._observation.astype(float), self.simulation.step_count
+        self._known, believed = self._believed(slice(None))
+        size = self._observation.shape[1]
+        self._shown = np.empty((self.num_envs, len(self.base)), dtype=np.float32)
+        self._shown[:, :size], self._shown[:, size:] = self._observation, believed
+        return self._shown
+
+    def _look_at(self, lanes: NDArray[np.intp]) -> None:
+        """Show some lanes anew, whose episodes have begun."""
+        if self.law is None:
+            return
+        self._known[lanes], believed = self._believed(lanes)
+        size = self._observation.shape[1]
+        self._shown[lanes, :size], self._shown[lanes, size:] = self._observation[lanes], believed
+
+    def _believed(self, lanes: Any) -> tuple[FloatArray, FloatArray]:
+        """Return what the law knows of some lanes, and what it shows of that, within bounds."""
+        assert self.law is not None  # the caller asked
+        known, believed = self.law.look(
+            self.law_memory[lanes],
+            self._observation[lanes].astype(float),
+            self.simulation.step_count[lanes],
         )
         if not math.isfinite(believed.sum()):
             believed = np.nan_to_num(believed)
-        size = self._observation.shape[1]
-        self._shown = np.empty((self.num_envs, len(self.base)), dtype=np.float32)
-        self._shown[:, :size] = self._observation
-        self._shown[:, size:] = believed.clip(-OBSERVATION_BOUND, OBSERVATION_BOUND)
-        return self._shown
+        return known, believed.clip(-OBSERVATION_BOUND, OBSERVATION_BOUND)
 
     def _final_info(self, result: StepResult, lane: int) -> dict[str, Any]:
         return {

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from shake_env.dynamics.drawn_plants import rows_of
 from shake_env.dynamics.ground import GroundPeriod, Rows
 from shake_env.dynamics.linear import PeriodResponse
 from shake_env.kernels.layout import GROUND, ONES, PLACES, START, STEP, ZEROS, table
@@ -375,20 +376,22 @@ class CompiledEngine:
         """Take the plants of some lanes from the model's stacks, which have changed."""
         index = np.asarray(lanes, dtype=int)
         block, column = index // self._block, index % self._block
-        chosen = index if self._own else None
+        if len(index) == 1:
+            block, column = int(block[0]), int(column[0])
+        chosen = rows_of(index) if self._own else None
         for name, matrix in matrices(self._tables, chosen).items():
             start, length = self._packed.matrices[name]
             if not length:
                 continue
             flat = matrix.swapaxes(-1, -2)
             if self._own:
-                part = self._matrices[:, start : start + length]
-                part[block, :, column] = flat.reshape(len(index), length)
+                places = slice(start, start + length)
+                self._matrices[block, places, column] = flat.reshape(len(index), length)
             else:
                 self._matrices[0, start : start + length, 0] = flat.reshape(-1)
         if self._own:
             for name, values in lane_rows(self._tables, chosen).items():
-                self._fields(name)[block, :, column] = values
+                self._records[block, self._packed.rows[name], column] = values
 
     def get_state(self) -> LaneState:
         """Return everything that `set_state` needs to go on exactly; see `engine.Engine`."""

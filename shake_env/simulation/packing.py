@@ -75,7 +75,7 @@ def pack(tables: Tables, block: int) -> Packed:
     )
 
 
-def matrices(tables: Tables, lanes: IntArray | None = None) -> dict[str, FloatArray]:
+def matrices(tables: Tables, lanes: Any = None) -> dict[str, FloatArray]:
     """Return each matrix, (rows, columns) or one a table, in the order of `layout.MATRICES`.
 
     Where each table has its own, of all, or of the tables `lanes` alone.
@@ -110,7 +110,7 @@ def matrices(tables: Tables, lanes: IntArray | None = None) -> dict[str, FloatAr
     }
 
 
-def lane_rows(tables: Tables, lanes: IntArray | None = None) -> dict[str, FloatArray]:
+def lane_rows(tables: Tables, lanes: Any = None) -> dict[str, FloatArray]:
     """Return what stands in a record of each table's plant, (rows,) or one column a table (N, rows).
 
     Of a table each, of all, or of the tables `lanes` alone.

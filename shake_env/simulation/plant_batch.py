@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from shake_env.dynamics import nonlinear as nonlinear_dynamics
 from shake_env.dynamics import yielding_reference as reference
-from shake_env.dynamics.drawn_plants import DrawnPlants
+from shake_env.dynamics.drawn_plants import DrawnPlants, rows_of
 from shake_env.dynamics.ground import GroundMaps
 from shake_env.dynamics.nonlinear import NonlinearDynamics, arrival, commands_under_way, floor_rows
 from shake_env.errors import ScenarioError
@@ -108,8 +108,9 @@ class Fleet:
         for lane, each in zip(lanes, values, strict=True):
             self._values[lane] = each
         commands = commands_under_way(scenario.longest_delay, k)
-        self._dynamics["coulomb"][index] = [true.nonlinearity.friction.coulomb for true in drawn]
-        self._dynamics["arrival"][index] = [arrival(true.delay, k, commands) for true in drawn]
+        rows = rows_of(index)
+        self._dynamics["coulomb"][rows] = [true.nonlinearity.friction.coulomb for true in drawn]
+        self._dynamics["arrival"][rows] = [arrival(true.delay, k, commands) for true in drawn]
         if self._compiled is None:
             self._put(index, drawn)
             return
