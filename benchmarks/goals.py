@@ -56,10 +56,9 @@ VECTOR = (
     "its calls cost nothing any more."
 )
 THREADS = (
-    "Two threads take pieces of the blocks one by one; the second is woken for each period, which takes "
-    "10 to 50 us of the 100 that one thread needs for 1024 tables. Where other work has the cores, the "
-    "second comes late or is interrupted in its piece, for which the first waits: measure this on an "
-    "idle machine."
+    "Two threads take pieces of the blocks one by one, and the second is woken for each period. Where "
+    "other work has the cores, it comes late or is interrupted in its piece, for which the first waits. "
+    "How long it takes to wake on an idle machine was not examined."
 )
 DUMMY = (
     "A table in a batch of 64 takes 0.25 us as SB3 asks for it, of which 0.2 are the compiled step; "

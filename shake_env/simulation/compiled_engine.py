@@ -375,7 +375,8 @@ class CompiledEngine:
     def redrawn(self, lanes: Sequence[int]) -> None:
         """Take the plants of some lanes from the model's stacks, which have changed."""
         index = np.asarray(lanes, dtype=int)
-        block, column = index // self._block, index % self._block
+        block: Any = index // self._block
+        column: Any = index % self._block
         if len(index) == 1:
             block, column = int(block[0]), int(column[0])
         chosen = rows_of(index) if self._own else None
