@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -78,7 +79,7 @@ class ShakeTableVecEnv(VecEnv):
         bound, shown = OBSERVATION_BOUND, (len(self.base),)
         super().__init__(num_envs, spaces.Box(-bound, bound, shown, np.float32), actions)
         self._streams: list[np.random.Generator | None] = [None] * num_envs
-        self._action = np.zeros(num_envs)
+        self._action: NDArray[np.floating[Any]] = np.zeros(num_envs)
         self._returns = np.zeros(num_envs)
         self._observation = np.zeros((num_envs, scenario.observation.size), dtype=np.float32)
         self._shown = np.zeros((num_envs, len(self.base)), dtype=np.float32)
@@ -100,11 +101,15 @@ class ShakeTableVecEnv(VecEnv):
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Take the actions (N, 1) of the next period."""
         correction = batch_action(actions, (self.num_envs, 1))
+        if self.law is None and not self._corrects and self.authority == 1.0:
+            self._action = correction.copy()  # which the engine takes at any precision
+            return
         self._action = self.authority * correction.astype(float)
-        if self._corrects:
+        if self.law is not None:  # whose own action comes last of what it shows
+            self._action += self._shown[:, -1]
+            self.law_memory = self.law.keep(self._known, self._action.clip(-1.0, 1.0))
+        elif self._corrects:
             self._action += self._shown @ self.base
-        if self.law is not None:
-            self.law_memory = self.law.keep(self._known, np.clip(self._action, -1.0, 1.0))
 
     def step_wait(
         self,
@@ -112,8 +117,10 @@ class ShakeTableVecEnv(VecEnv):
         """Advance all tables; lanes whose episode ended come back with their next one begun."""
         result = self.simulation.step(self._action)
         observation = result.observation
-        self._returns += result.reward
-        reward = (self.reward_scale * result.reward).astype(np.float32)
+        true = result.reward
+        self._returns += true
+        scaled = true if self.reward_scale == 1.0 else self.reward_scale * true
+        reward = scaled.astype(np.float32)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         self._observation = observation
         shown, done = self._look(), result.terminated
@@ -124,7 +131,7 @@ class ShakeTableVecEnv(VecEnv):
                 infos[lane] = self._final_info(result, int(lane))
             self._returns[lanes] = 0.0
             observation[lanes] = self._start(lanes.tolist())
-            shown = self._look()
+            self._look_at(lanes)
         return shown.copy(), reward, done, infos
 
     def _look(self) -> NDArray[np.float32]:
@@ -132,12 +139,31 @@ class ShakeTableVecEnv(VecEnv):
         if self.law is None:
             self._shown = self._observation
             return self._shown
-        self._known, believed = self.law.look(
-            self.law_memory, self._observation.astype(float), self.simulation.step_count
-        )
-        bounded = np.clip(np.nan_to_num(believed), -OBSERVATION_BOUND, OBSERVATION_BOUND)
-        self._shown = np.concatenate([self._observation, bounded.astype(np.float32)], axis=-1)
+        self._known, believed = self._believed(slice(None))
+        size = self._observation.shape[1]
+        self._shown = np.empty((self.num_envs, len(self.base)), dtype=np.float32)
+        self._shown[:, :size], self._shown[:, size:] = self._observation, believed
         return self._shown
+
+    def _look_at(self, lanes: NDArray[np.intp]) -> None:
+        """Show some lanes anew, whose episodes have begun."""
+        if self.law is None:
+            return
+        self._known[lanes], believed = self._believed(lanes)
+        size = self._observation.shape[1]
+        self._shown[lanes, :size], self._shown[lanes, size:] = self._observation[lanes], believed
+
+    def _believed(self, lanes: Any) -> tuple[FloatArray, FloatArray]:
+        """Return what the law knows of some lanes, and what it shows of that, within bounds."""
+        assert self.law is not None  # the caller asked
+        known, believed = self.law.look(
+            self.law_memory[lanes],
+            self._observation[lanes].astype(float),
+            self.simulation.step_count[lanes],
+        )
+        if not math.isfinite(believed.sum()):
+            believed = np.nan_to_num(believed)
+        return known, believed.clip(-OBSERVATION_BOUND, OBSERVATION_BOUND)
 
     def _final_info(self, result: StepResult, lane: int) -> dict[str, Any]:
         return {

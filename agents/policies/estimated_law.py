@@ -115,15 +115,18 @@ class EstimatedLaw:
         known, shown
             (..., M) for :meth:`keep`, and (..., e).
         """
-        if isinstance(memory, np.ndarray) and isinstance(observation, np.ndarray):
-            both = np.concatenate([memory, observation], axis=-1) @ self._settled.T
-            known, shown = both[..., : self.size], both[..., self.size :]
-            age = np.asarray(age)
-            early = age < len(self.gains) - 1
-            if early.any():  # the gains of these still change
-                known[early], shown[early] = self._weigh(memory[early], observation[early], age[early])
-            return known, shown
-        return self._weigh(memory, observation, age)
+        if not (isinstance(memory, np.ndarray) and isinstance(observation, np.ndarray)):
+            return self._weigh(memory, observation, age)
+        age = np.asarray(age)
+        early = age < len(self.gains) - 1  # whose gains still change
+        if early.all():
+            return self._weigh_early(memory, observation, age)
+        both = np.concatenate([memory, observation], axis=-1) @ self._settled.T
+        known, shown = both[..., : self.size], both[..., self.size :]
+        if early.any():
+            parts = self._weigh_early(memory[early], observation[early], age[early])
+            known[early], shown[early] = parts
+        return known, shown
 
     @cached_property
     def _settled(self) -> FloatArray:
@@ -133,6 +136,29 @@ class EstimatedLaw:
         known[:estimates] += self.gains[-1] @ self.advance[size:]
         observation = np.eye(self.observation_size, size + self.observation_size, size)
         return np.vstack([known, self.show @ np.vstack([known, observation])])
+
+    @cached_property
+    def _reduced(self) -> tuple[NDArray[np.intp], FloatArray]:
+        """Entries of an observation that `advance` reads, and its rows (M + s, M + their number)."""
+        used = np.flatnonzero(self.advance[:, self.size :].any(axis=0))
+        columns = np.concatenate([np.arange(self.size), self.size + used])
+        return used, np.ascontiguousarray(self.advance[:, columns])
+
+    def _weigh_early(
+        self, memory: FloatArray, observation: FloatArray, age: NDArray[np.int_]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Weigh the readings in numpy, as `_weigh` does and to the same bits, at ages below the last."""
+        estimates, size = self.gains.shape[1], self.size
+        used, rows = self._reduced
+        both = np.concatenate([memory, observation[..., used]], axis=-1) @ rows.T
+        fresh = age == 0
+        if fresh.any():
+            both[fresh] *= self.begins
+        known = np.empty((*both.shape[:-1], size + observation.shape[-1]))
+        known[..., :size], known[..., size:] = both[..., :size], observation
+        gains = self.gains[age]
+        known[..., :estimates] += (gains @ both[..., size:, None])[..., 0]
+        return known[..., :size], known @ self.show.T
 
     def _weigh(self, memory: Array, observation: Array, age: Any) -> tuple[Array, Array]:
         """Weigh the readings at any age, which a gradient goes through."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from shake_env.model.discretization import DiscretePlant, check_directions
 from shake_env.model.nonlinearity import Nonlinearity
 from shake_env.model.parameters import Actuator, GroundFilter, ModelEquations, Specimen
 from shake_env.model.plant import REFERENCE_CURRENT, CoupledPlant
-from shake_env.model.ranges import check_ranges
+from shake_env.model.ranges import RANGES, check, check_ranges
 from shake_env.model.resolution import check_resolution
 from shake_env.motion.targets import FilteredNoise, Motion, MotionSet, RecordedMotion
 from shake_env.scenario.limits import Limits
@@ -42,6 +42,15 @@ _KINDS: tuple[tuple[str, type | tuple[type, ...]], ...] = (
 
 MOST_SUBSTEPS = 1000  # physics steps a control period
 UNIFORM = ("stories", "mass_ratio", "storey_frequency", "damping_ratio")  # what makes equal storeys
+
+
+class TruePlant(NamedTuple):
+    """What may differ of a drawn plant from a scenario's own."""
+
+    actuator: Actuator
+    specimen: Specimen
+    nonlinearity: Nonlinearity
+    delay: float  # [physics steps]
 
 
 def _names(kind: type | tuple[type, ...]) -> str:
@@ -166,19 +175,27 @@ class Scenario:
         Beside those of `Uncertainty` these are all of the actuator and of `plants.values`, and
         ``yield_drift`` and ``supply_pressure``.
         """
-        changes: dict[str, Any] = {}
-        specimen = {name: values[name] for name in UNIFORM if name in values}
-        if specimen:
-            table_mass = self.actuator.table_mass
-            now = {**self.specimen.uniform_values(table_mass), **specimen}
-            changes["specimen"] = Specimen.uniform(**now, table_mass=table_mass)
-        actuator = {name: value for name, value in values.items() if name in vars(self.actuator)}
-        if actuator:
-            changes["actuator"] = replace(self.actuator, **actuator)
-        own = with_specimen_values(changes.get("specimen", self.specimen), values)
-        if own is not self.specimen:
-            changes["specimen"] = own
-        parts = self.nonlinearity
+        return replace(self, **self.true_plant(values)._asdict())
+
+    def true_plant(self, values: Mapping[str, float]) -> TruePlant:
+        """Return what `with_plant` changes, checked: a scenario of it is made ten times as slowly.
+
+        Raises
+        ------
+        ParameterError
+            If a value is outside its range.
+        ScenarioError
+            If the physics step is too long for a motion of the plant.
+        """
+        actuator, specimen, parts = self.actuator, self.specimen, self.nonlinearity
+        uniform = {name: values[name] for name in UNIFORM if name in values}
+        if uniform:
+            now = {**specimen.uniform_values(actuator.table_mass), **uniform}
+            specimen = Specimen.uniform(**now, table_mass=actuator.table_mass)
+        changed = {name: value for name, value in values.items() if name in vars(actuator)}
+        if changed:
+            actuator = replace(actuator, **changed)
+        specimen = with_specimen_values(specimen, values)
         if "coulomb_friction" in values:
             parts = replace(parts, friction=parts.friction.at(values["coulomb_friction"]))
         if "yield_drift" in values:
@@ -192,22 +209,20 @@ class Scenario:
             valve["natural_frequency"] = values["valve_natural_frequency"]
         if valve:
             parts = replace(parts, valve=replace(parts.valve, **valve))
-        if parts is not self.nonlinearity:
-            changes["nonlinearity"] = parts
-        if "delay" in values:
-            changes["delay"] = values["delay"]
-        factors = [
-            np.array([values.get(f"{kind}_{i}", 1.0) for i in range(1, self.specimen.stories + 1)])
-            for kind in (MASS_FACTOR, STIFFNESS_FACTOR)
-        ]
-        if any(np.any(each != 1.0) for each in factors):
-            own = changes.get("specimen", self.specimen)
-            changes["specimen"] = replace(
-                own,
-                masses=tuple((np.array(own.masses) * factors[0]).tolist()),
-                stiffnesses=tuple((np.array(own.stiffnesses) * factors[1]).tolist()),
+        if any(name.startswith((MASS_FACTOR, STIFFNESS_FACTOR)) for name in values):
+            floors = range(1, specimen.stories + 1)
+            masses, stiffnesses = (
+                tuple(values.get(f"{kind}_{i}", 1.0) * each[i - 1] for i in floors)
+                for kind, each in (
+                    (MASS_FACTOR, specimen.masses),
+                    (STIFFNESS_FACTOR, specimen.stiffnesses),
+                )
             )
-        return replace(self, **changes)
+            specimen = replace(specimen, masses=masses, stiffnesses=stiffnesses)
+        delay = values.get("delay", self.delay)
+        check("delay", delay, RANGES["Scenario"]["delay"])
+        check_resolution(actuator, specimen, self.ground, parts, self.physics_step)
+        return TruePlant(actuator, specimen, parts, delay)
 
     @property
     def parts(self) -> Nonlinearity:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from shake_env.dynamics.drawn_plants import rows_of
 from shake_env.dynamics.ground import GroundPeriod, Rows
 from shake_env.dynamics.linear import PeriodResponse
 from shake_env.kernels.layout import GROUND, ONES, PLACES, START, STEP, ZEROS, table
@@ -31,7 +32,7 @@ from shake_env.simulation.engine import (
     Tables,
 )
 from shake_env.simulation.excitation import motion_array
-from shake_env.simulation.helper_thread import Helper
+from shake_env.simulation.helper_thread import Helpers
 from shake_env.simulation.motion_shapes import first_target, initial_filter_state, shape
 from shake_env.simulation.output_pool import OutputPool
 from shake_env.simulation.packing import BEHIND, lane_rows, matrices, pack
@@ -40,6 +41,7 @@ from shake_env.simulation.transition import Outcome
 
 FOREVER = 1 << 62  # control periods of a table that only fills up a block
 LINE = 64  # [bytes] of a cache
+PIECES = 4  # of the tables for each thread
 A_THREAD = 512  # tables that a thread has at least: fewer take no longer than to wake it
 _AT_REPORT, _AT_SEEN, _AT_ENDS = (PLACES[f"at_{name}"] for name in ("report", "seen", "ends"))
 # What a state holds of each table, by field.
@@ -129,17 +131,18 @@ class CompiledEngine:
             | {f"vector_{name}": start for name, start in packed.vectors.items()}
         )
 
-    def _new_helpers(self, threads: int) -> list[Helper]:
-        """Return threads that step a share of the blocks each; the caller's steps the first share."""
-        bounds = [round(self._blocks * i / max(threads, 1)) for i in range(max(threads, 1) + 1)]
-        self._table[PLACES["last"]] = bounds[1]
-        self._rooms = [np.zeros_like(self._room) for _ in bounds[2:]]
-        for first, last, room in zip(bounds[1:], bounds[2:], self._rooms, strict=False):
+    def _new_helpers(self, threads: int) -> Helpers | None:
+        """Return what steps the tables by several threads; None where the caller's does it alone."""
+        if threads < 2:
+            return None
+        pieces = min(self._blocks, PIECES * threads)
+        bounds = [round(self._blocks * i / pieces) for i in range(pieces + 1)]
+        self._rooms = [np.zeros_like(self._room) for _ in range(threads - 1)]
+        for room in self._rooms:
             part = self._new_table(STEP)
-            part[PLACES["first"]], part[PLACES["last"]] = first, last
             part[PLACES["at_room"]] = room.ctypes.data
             self._parts.append(part)
-        return [Helper(self._period, part) for part in self._parts]
+        return Helpers(self._period, [self._table, *self._parts], bounds)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle by making the arrays anew, whose addresses are kept."""
@@ -279,11 +282,8 @@ class CompiledEngine:
         addresses = self._pool.addresses(address)
         for place in (self._table, *self._parts):
             place[_AT_REPORT], place[_AT_SEEN], place[_AT_ENDS] = addresses
-        for helper in self._helpers:
-            helper.begin()
-        ended = self._period(self._address)
-        for helper in self._helpers:
-            ended |= helper.end()
+        helpers = self._helpers
+        ended = self._period(self._address) if helpers is None else helpers()
         report, seen, terminated, truncated = self._pool.views(memory)
         return StepResult(self, seen, report, terminated, truncated, ended)
 
@@ -375,18 +375,24 @@ class CompiledEngine:
     def redrawn(self, lanes: Sequence[int]) -> None:
         """Take the plants of some lanes from the model's stacks, which have changed."""
         index = np.asarray(lanes, dtype=int)
-        block, column = index // self._block, index % self._block
-        for name, matrix in matrices(self._tables).items():
+        block: Any = index // self._block
+        column: Any = index % self._block
+        if len(index) == 1:
+            block, column = int(block[0]), int(column[0])
+        chosen = rows_of(index) if self._own else None
+        for name, matrix in matrices(self._tables, chosen).items():
             start, length = self._packed.matrices[name]
-            part = self._matrices[:, start : start + length]
+            if not length:
+                continue
             flat = matrix.swapaxes(-1, -2)
             if self._own:
-                part[block, :, column] = flat[index].reshape(len(index), length)
+                places = slice(start, start + length)
+                self._matrices[block, places, column] = flat.reshape(len(index), length)
             else:
-                part[0, :, 0] = flat.reshape(-1)
+                self._matrices[0, start : start + length, 0] = flat.reshape(-1)
         if self._own:
-            for name, values in lane_rows(self._tables).items():
-                self._fields(name)[block, :, column] = values[index]
+            for name, values in lane_rows(self._tables, chosen).items():
+                self._records[block, self._packed.rows[name], column] = values
 
     def get_state(self) -> LaneState:
         """Return everything that `set_state` needs to go on exactly; see `engine.Engine`."""

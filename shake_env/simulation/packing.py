@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,46 +75,54 @@ def pack(tables: Tables, block: int) -> Packed:
     )
 
 
-def matrices(tables: Tables) -> dict[str, FloatArray]:
-    """Return each matrix, (rows, columns) or one a table, in the order of `layout.MATRICES`."""
+def matrices(tables: Tables, lanes: Any = None) -> dict[str, FloatArray]:
+    """Return each matrix, (rows, columns) or one a table, in the order of `layout.MATRICES`.
+
+    Where each table has its own, of all, or of the tables `lanes` alone.
+    """
     dynamics, reference = tables.model.dynamics, tables.maps.yielding
-    batch = tables.maps.noise.shape[:-2]
-    none = np.zeros((*batch, 0, 0))
+    own: Any = slice(None) if lanes is None else lanes
+    none = np.zeros((*tables.maps.noise[own].shape[:-2], 0, 0))
     made = dict.fromkeys(MATRICES, none)
-    made["noise_map"], made["record_map"] = tables.maps.noise, tables.maps.record
+    made["noise_map"], made["record_map"] = tables.maps.noise[own], tables.maps.record[own]
     if reference is not None:
         parts = (reference.A, reference.ground, reference.ground_next, reference.level)
-        made["yield_step"] = np.concatenate(parts, axis=-1)
-        made["yield_change"], made["yield_shear"] = reference.slope, reference.C
+        made["yield_step"] = np.concatenate([part[own] for part in parts], axis=-1)
+        made["yield_change"], made["yield_shear"] = reference.slope[own], reference.C[own]
     if tables.model.floor_rows is not None:
-        made["floor_map"] = tables.model.floor_rows
+        made["floor_map"] = tables.model.floor_rows[own]
     if isinstance(dynamics, TableDynamics):
         return {**made, "advance": dynamics.matrix}
     # Columns of parts that are off are left out.
     switches = _switches(dynamics.parts, dynamics.stories, 0)
     names = ("flow", "force", "rate", *["slips"] * dynamics.stories)
-    on = np.array([switches[name] >= 0 for name in names[: dynamics.slope.shape[-1]]])
-    used = np.concatenate([np.ones(dynamics.advance.shape[-1] - len(on), dtype=bool), on])
-    unheld = np.zeros((*dynamics.C.shape[:-1], 1))
+    on = [i for i, name in enumerate(names[: dynamics.slope.shape[-1]]) if switches[name] >= 0]
+    linear = dynamics.advance.shape[-1] - dynamics.slope.shape[-1]
+    used = [*range(linear), *(linear + i for i in on)]
+    C, D = dynamics.C[own], dynamics.D[own]
+    unheld = np.zeros((*C.shape[:-1], 1))
     return {
         **made,
-        "advance": dynamics.advance[..., used],
-        "change": dynamics.slope[..., on],
-        "outputs": np.concatenate([dynamics.C, unheld, dynamics.D[..., on]], axis=-1),
-        "arrival": dynamics.arrival,
+        "advance": dynamics.advance[own][..., used],
+        "change": dynamics.slope[own][..., on],
+        "outputs": np.concatenate([C, unheld, D[..., on]], axis=-1),
+        "arrival": dynamics.arrival[own],
     }
 
 
-def lane_rows(tables: Tables) -> dict[str, FloatArray]:
-    """Return what stands in a record of each table's plant, (rows,) or one column a table (N, rows)."""
+def lane_rows(tables: Tables, lanes: Any = None) -> dict[str, FloatArray]:
+    """Return what stands in a record of each table's plant, (rows,) or one column a table (N, rows).
+
+    Of a table each, of all, or of the tables `lanes` alone.
+    """
     cost, dynamics = tables.model.stage_cost, tables.model.dynamics
-    weights = np.stack(
-        [np.asarray(c, float) for c in (cost.acceleration, cost.force, cost.current)], axis=-1
-    )
+    own: Any = ... if lanes is None else lanes
+    terms = (cost.acceleration, cost.force, cost.current)
+    weights = np.stack([np.asarray(term, float)[own] for term in terms], axis=-1)
     if isinstance(dynamics, TableDynamics):
         return {"weights": weights}
-    coulomb = np.asarray(dynamics.coulomb)[..., None]
-    return {"weights": weights, "coulomb": coulomb, "valve": dynamics.valve}
+    coulomb = np.asarray(dynamics.coulomb)[own][..., None]
+    return {"weights": weights, "coulomb": coulomb, "valve": dynamics.valve[own]}
 
 
 def _switches(parts: Nonlinearity, stories: int, order: int) -> dict[str, int]:

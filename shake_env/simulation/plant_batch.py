@@ -11,15 +11,19 @@ from numpy.typing import NDArray
 
 from shake_env.dynamics import nonlinear as nonlinear_dynamics
 from shake_env.dynamics import yielding_reference as reference
+from shake_env.dynamics.drawn_plants import DrawnPlants, rows_of
 from shake_env.dynamics.ground import GroundMaps
 from shake_env.dynamics.nonlinear import NonlinearDynamics, arrival, commands_under_way, floor_rows
 from shake_env.errors import ScenarioError
 from shake_env.model.discretization import MOST_DIRECTIONS, DiscretePlant
 from shake_env.model.parameters import FloatArray, stacked, unchecked
 from shake_env.model.plant import CoupledPlant
+from shake_env.numba_support import compiled_module
 from shake_env.scenario.objective import StageCost
-from shake_env.scenario.scenario import Scenario
+from shake_env.scenario.scenario import Scenario, TruePlant
 from shake_env.simulation.transition import TableModel
+
+IntArray = NDArray[np.int64]
 
 
 class Fleet:
@@ -43,7 +47,6 @@ class Fleet:
         if not isinstance(nominal.dynamics, NonlinearDynamics):
             raise ScenarioError("uncertainty", scenario.uncertainty, "is not active: nothing to draw")
         self.scenario = scenario
-        self.plants: list[Scenario] = [scenario] * lanes  # the true scenario of each lane
         self._values: list[dict[str, float]] = [{}] * lanes  # what was drawn for each
         self._dynamics: dict[str, Any] = {
             name: _repeat(getattr(nominal.dynamics, name), lanes) for name in nonlinear_dynamics.ARRAYS
@@ -72,20 +75,63 @@ class Fleet:
         )
         yielding = maps.yielding and replace(maps.yielding, **self._reference)
         self.maps = GroundMaps(self._noise, self._record, yielding)
+        self._compiled = self._new_compiled()
+
+    def _new_compiled(self) -> DrawnPlants | None:
+        """Return what makes plants faster, or None where there is no numba, or no chain of storeys."""
+        scenario, objective = self.scenario, self.scenario.objective
+        compiled = compiled_module("shake_env.kernels.small_matrices")
+        if compiled is None or scenario.specimen.coupled:
+            return None
+        stacks = {f"reference_{name}": stack for name, stack in self._reference.items()}
+        stacks |= self._dynamics | {"noise": self._noise, "record": self._record}
+        return DrawnPlants(
+            scenario.ground,
+            scenario.parts,
+            scenario.observation.low_passes,
+            scenario.physics_step,
+            objective.force_weight if objective.normalised else 0.0,
+            stacks | {"floors": self._floors, "force": self._cost["force"]},
+        )
+
+    @property
+    def plants(self) -> list[Scenario]:
+        """The true scenario of each lane, made when asked for."""
+        return [self.scenario.with_plant(each) if each else self.scenario for each in self._values]
 
     def draw(self, lanes: Sequence[int], streams: Sequence[np.random.Generator]) -> None:
         """Give each of `lanes` a new plant, drawn from its stream."""
-        scenario, index = self.scenario, np.asarray(lanes, dtype=int)
-        stories = scenario.specimen.stories
+        scenario, index = self.scenario, np.asarray(lanes, dtype=np.int64)
+        stories, k = scenario.specimen.stories, scenario.substeps
         values = [scenario.uncertainty.sample(stream, stories) for stream in streams]
-        drawn = [scenario.with_plant(each) for each in values]
-        for lane, each, true in zip(lanes, values, drawn, strict=True):
-            self._values[lane], self.plants[lane] = each, true
-        # All at once, from parameters whose numbers are arrays: one by one, Python costs ten times what
-        # the arithmetic does.
-        actuator = stacked([true.actuator for true in drawn])
+        drawn = [scenario.true_plant(each) for each in values]
+        for lane, each in zip(lanes, values, strict=True):
+            self._values[lane] = each
+        commands = commands_under_way(scenario.longest_delay, k)
+        rows = rows_of(index)
+        self._dynamics["coulomb"][rows] = [true.nonlinearity.friction.coulomb for true in drawn]
+        self._dynamics["arrival"][rows] = [arrival(true.delay, k, commands) for true in drawn]
+        if self._compiled is None:
+            self._put(index, drawn)
+            return
+        valves = [true.nonlinearity.valve for true in drawn]
+        actuators, specimens = [true.actuator for true in drawn], [true.specimen for true in drawn]
+        done = self._compiled.put(index, actuators, specimens, valves)
+        if done < len(drawn):
+            self._put(index[done:], drawn[done:])  # which says what is wrong
+
+    def _put(self, index: IntArray, drawn: Sequence[TruePlant]) -> None:
+        """Write the matrices of plants, made in arrays.
+
+        All at once, from parameters whose numbers are arrays: one by one, Python costs ten times what
+        the arithmetic does.
+        """
+        scenario = self.scenario
         plant = CoupledPlant(
-            actuator, stacked([true.specimen for true in drawn]), scenario.ground, scenario.equations
+            stacked([true.actuator for true in drawn]),
+            stacked([true.specimen for true in drawn]),
+            scenario.ground,
+            scenario.equations,
         )
         parts, step, k = scenario.parts, scenario.physics_step, scenario.substeps
         valve = stacked([true.nonlinearity.valve for true in drawn])
@@ -98,13 +144,9 @@ class Fleet:
             longest_delay=scenario.longest_delay,
             low_passes=scenario.observation.low_passes,
         )
-        commands = commands_under_way(scenario.longest_delay, k)
-        own = {
-            "coulomb": [true.nonlinearity.friction.coulomb for true in drawn],
-            "arrival": [arrival(true.delay, k, commands) for true in drawn],
-        }
         for name, stack in self._dynamics.items():
-            stack[index] = own.get(name, getattr(dynamics, name))
+            if name not in ("coulomb", "arrival"):
+                stack[index] = getattr(dynamics, name)
         cost = scenario.objective.coefficients(plant)
         for name, column in self._cost.items():
             column[index] = getattr(cost, name)
@@ -140,9 +182,7 @@ class Fleet:
         for name, stack in self._stacks().items():
             stack[lanes] = state[name]
         for lane, values in zip(lanes, state["plant_values"], strict=True):
-            if values != self._values[lane]:
-                self._values[lane] = dict(values)
-                self.plants[lane] = self.scenario.with_plant(values)
+            self._values[lane] = dict(values)
 
 
 def _repeat(matrix: FloatArray, lanes: int) -> FloatArray:

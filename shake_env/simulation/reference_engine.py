@@ -91,6 +91,7 @@ class ReferenceEngine:
     def step(self, action: NDArray[np.floating[Any]]) -> StepResult:
         """Advance every table by one control period under `action` (N,)."""
         self.number += 1
+        action = action.astype(float)  # at the precision of everything else
         ground = self._excitation.advance()
         outcome = self._model.transition(self.state, action, ground)
         self.state, self._outcome = outcome.response.state, outcome

@@ -54,6 +54,17 @@ def test_the_matrices_are_the_controller(name, overrides, base, kind):
         age = age + 1
 
 
+def test_numpy_weighs_as_the_array_api_does_at_every_age():
+    """Its products leave zeros out, and take the settled gain as one matrix."""
+    scenario = make_scenario("laboratory")
+    law, rng = EstimatedLaw.of("lqg-dac", scenario), np.random.default_rng(0)
+    memory, seen = rng.normal(size=(9, law.size)), rng.normal(size=(9, law.observation_size))
+    for age in (np.zeros(9, dtype=int), np.arange(9), np.arange(9) * 100, np.full(9, 500)):
+        for ours, theirs in zip(law.look(memory, seen, age), law._weigh(memory, seen, age), strict=True):
+            size = np.abs(theirs).max()
+            np.testing.assert_allclose(ours / size, theirs / size, rtol=0, atol=1e-13)
+
+
 def test_what_is_shown_is_what_a_full_state_law_would_be_given():
     scenario = make_scenario("laboratory")
     controller = make_baseline("lqg-dac", scenario)

@@ -108,6 +108,8 @@ def pair(scenario, lanes):
         patch.setattr(numba_support, "COMPILED", False)
         plain = Simulation(scenario, lanes)
     assert isinstance(plain.engine, ReferenceEngine)
+    if compiled.fleet is not None:  # whose plants dynamics/test_drawn_plants.py holds equal to arrays'
+        compiled.fleet._compiled = None
     return compiled, plain
 
 
@@ -296,6 +298,19 @@ def test_without_numba_the_model_steps(monkeypatch):
 
 
 @pytest.mark.parametrize("compiled", [True, False])
+def test_an_action_of_single_precision_is_the_same_number(compiled, monkeypatch):
+    """As the vector environments hand it over."""
+    monkeypatch.setattr(numba_support, "COMPILED", compiled)
+    action = np.array([0.1, -0.7, 0.3], dtype=np.float32)
+    rewards = []
+    for each in (action, action.astype(float)):
+        sim = Simulation(make_scenario("laboratory"), 3)
+        sim.start(range(3), [np.random.default_rng(i) for i in range(3)])
+        rewards.append([sim.step(each).reward.copy() for _ in range(5)])
+    np.testing.assert_array_equal(*rewards)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
 def test_a_sharp_knee_stays_finite(compiled, monkeypatch):
     monkeypatch.setattr(numba_support, "COMPILED", compiled)
     law = Yielding(yield_drift=0.001, exponent=20.0)
@@ -320,7 +335,7 @@ def test_a_sharp_knee_stays_finite(compiled, monkeypatch):
 def test_threads_do_not_change_a_bit():
     scenario, lanes = make_scenario("linear", {"duration": 0.1}), 1100
     one, two = Simulation(scenario, lanes), Simulation(scenario, lanes, threads=2)
-    assert len(two.engine._helpers) == 1 and not one.engine._helpers
+    assert len(two.engine._helpers._turns) == 1 and not one.engine._helpers
     few = Simulation(scenario, 100, threads=2)
     assert not few.engine._helpers
     for sim in (one, two):
