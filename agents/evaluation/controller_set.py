@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import cloudpickle
+
 from agents.evaluation.training_distance import training_warning
 from agents.policies.policy_file import PolicyFile
 from agents.policies.registry import find_controller, get_controller, values_for
@@ -99,6 +101,39 @@ def get_controllers(
                 raise
             result.skipped.append(f"the shipped {entry.name} ({error})")
     return result
+
+
+class PortableController:
+    """A controller that travels to another process: as it is, or made there again of what it is made of.
+
+    Parameters
+    ----------
+    name, scenario, parameters
+        As `get_controller` takes them; a solver's memory does not travel.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        name: str,
+        scenario: Scenario,
+        parameters: Mapping[str, float] | None,
+    ) -> None:
+        self.controller, self._made_of = controller, (name, scenario, None, parameters)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        try:
+            return _as_it_is, (cloudpickle.dumps(self.controller), *self._made_of)
+        except TypeError:
+            return _made_again, self._made_of
+
+
+def _as_it_is(content: bytes, *made_of: Any) -> PortableController:
+    return PortableController(cloudpickle.loads(content), *made_of[:2], made_of[3])
+
+
+def _made_again(*made_of: Any) -> PortableController:
+    return PortableController(get_controller(*made_of), *made_of[:2], made_of[3])
 
 
 def require_names(names: Sequence[str]) -> None:
