@@ -119,21 +119,26 @@ class PortableController:
         scenario: Scenario,
         parameters: Mapping[str, float] | None,
     ) -> None:
-        self.controller, self._made_of = controller, (name, scenario, None, parameters)
+        self.controller = controller
+        self._made_of = name, scenario, parameters
 
     def __reduce__(self) -> tuple[Any, ...]:
         try:
-            return _as_it_is, (cloudpickle.dumps(self.controller), *self._made_of)
+            content = cloudpickle.dumps(self.controller)
         except TypeError:
-            return _made_again, self._made_of
+            content = None
+        return _arrived, (content, *self._made_of)
 
 
-def _as_it_is(content: bytes, *made_of: Any) -> PortableController:
-    return PortableController(cloudpickle.loads(content), *made_of[:2], made_of[3])
-
-
-def _made_again(*made_of: Any) -> PortableController:
-    return PortableController(get_controller(*made_of), *made_of[:2], made_of[3])
+def _arrived(
+    content: bytes | None, name: str, scenario: Scenario, parameters: Mapping[str, float] | None
+) -> PortableController:
+    controller = (
+        get_controller(name, scenario, None, parameters)
+        if content is None
+        else cloudpickle.loads(content)
+    )
+    return PortableController(controller, name, scenario, parameters)
 
 
 def require_names(names: Sequence[str]) -> None:

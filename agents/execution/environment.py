@@ -8,6 +8,7 @@ import platform
 import secrets
 import socket
 from functools import lru_cache
+from os import PathLike
 from pathlib import Path
 
 from agents.provenance import PACKAGES
@@ -50,23 +51,23 @@ def require_same_environment(expected: dict[str, str]) -> None:
     raise WorkerError("worker", socket.gethostname(), f"has {pairs}: {remedy}")
 
 
-def folder_token(folder: Path) -> str:
+def folder_token(folder: str | PathLike[str]) -> str:
     """Return the content of a folder's token, which is written if need be."""
-    file = folder / TOKEN
+    file = Path(folder) / TOKEN
     if not file.is_file():
         write_text(file, secrets.token_hex(16))
     return file.read_text(encoding="utf-8")
 
 
-def shares_folder(folder: Path, token: str) -> bool:
+def shares_folder(folder: str | PathLike[str], token: str) -> bool:
     """Return whether this process sees the folder that a token was written into."""
     try:
-        return (folder / TOKEN).read_text(encoding="utf-8") == token
+        return (Path(folder) / TOKEN).read_text(encoding="utf-8") == token
     except OSError:
         return False
 
 
-def require_shared_folder(folder: Path, token: str) -> None:
+def require_shared_folder(folder: str | PathLike[str], token: str) -> None:
     """Raise `FileError` unless this process sees the folder that a token was written into."""
     if not shares_folder(folder, token):
         remedy = (

@@ -7,8 +7,10 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from types import TracebackType
+from typing import Any
 
 from agents.execution.environment import WorkerError, environment
 from agents.execution.worker import Call, Conditions, Outcome, pack
@@ -53,6 +55,10 @@ class Executor(ABC):
         """Number of submissions that are out at a time."""
         return self.workers
 
+    def waiting(self) -> AbstractContextManager[Any]:
+        """Return what surrounds the wait for results."""
+        return nullcontext()
+
     def group(self, number: int) -> int:
         """Return how many of so many short calls are one submission."""
         return 1
@@ -89,7 +95,8 @@ class Executor(ABC):
                         on_submit(index)
                     future = self.submit(pack([calls[i] for i in members], conditions))
                     running[future] = members, attempt
-                done, _ = wait(running, timeout=PERIOD, return_when=FIRST_COMPLETED)
+                with self.waiting():
+                    done, _ = wait(running, timeout=PERIOD, return_when=FIRST_COMPLETED)
                 for future in done:
                     members, attempt = running.pop(future)
                     try:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import sys
 import time
 import weakref
 from concurrent.futures import Future
+from contextlib import AbstractContextManager
 from typing import Any
 
-from agents.execution.executor import ATTEMPTS, Executor
+from agents.execution.executor import Executor
 from agents.execution.worker import GIB, THREAD_VARIABLES, Outcome, perform
 from shake_env.errors import ParameterError, ShakeError, install_hint
 
@@ -17,7 +20,7 @@ REFRESH = 2.0  # [s] between two looks at the size of a cluster
 
 
 class RayExecutor(Executor):
-    """Tasks of Ray, each of one core and a stated memory. Ray itself repeats those of lost workers.
+    """Tasks of Ray, each of one core and a stated memory. `results` repeats those of lost ones.
 
     Parameters
     ----------
@@ -47,9 +50,9 @@ class RayExecutor(Executor):
         threads = {"env_vars": dict.fromkeys(THREAD_VARIABLES, "1")}
         try:
             ray.init(logging_level="ERROR", log_to_driver=False, runtime_env=threads, **options)
-        except (ConnectionError, ValueError, RuntimeError, TimeoutError) as error:
+        except Exception as error:  # Ray raises that itself where a cluster does not start in time
             reason = (str(error) or type(error).__name__).strip().splitlines()[0]
-            remedy = f"cannot be used ({reason}): start it by ray start --head, or leave the option out"
+            remedy = f"cannot be used ({reason}): is there a cluster, or time to start one?"
             raise ParameterError("ray-address", address, remedy) from error
         errors = ray.exceptions
         self.lost = (
@@ -66,9 +69,7 @@ class RayExecutor(Executor):
             remedy = "no node of the cluster has a core and so much memory: ask for less"
             raise ParameterError("worker-memory", memory, remedy)
         self.workers = workers or self.room()
-        self._task = ray.remote(perform).options(
-            num_cpus=1, memory=int(memory * GIB), max_retries=ATTEMPTS - 1
-        )
+        self._task = ray.remote(perform).options(num_cpus=1, memory=int(memory * GIB), max_retries=0)
 
     def room(self) -> int:
         """Return how many workers the cluster has cores and memory for, now."""
@@ -90,6 +91,10 @@ class RayExecutor(Executor):
         future: Future[list[Outcome]] = reference.future()
         self._references[future] = reference
         return future
+
+    def waiting(self) -> AbstractContextManager[Any]:
+        """Keep standard output for results: Ray prints there what it says of lost workers."""
+        return contextlib.redirect_stdout(sys.stderr)
 
     def cancel(self) -> None:
         """Cancel the tasks; a worker that carries one out ends."""

@@ -129,8 +129,7 @@ def open_study(search: Search, storage: str | PathLike[str]) -> Any:
     ShakeError
         If Optuna is not installed.
     """
-    storage = Path(storage)
-    study = study_storage.open_study(storage, search.name)
+    study, _ = study_storage.open_study(storage, search.name)
     import optuna
 
     evaluations = trial_config(search.experiment, {}, search.share).evaluations
@@ -140,7 +139,7 @@ def open_study(search: Search, storage: str | PathLike[str]) -> Any:
     identity = search.identity()
     if not search.same(study.user_attrs.get("identity", identity)):
         remedy = f"holds {search.name} of another experiment or space: give another --storage or --seed"
-        raise ParameterError("storage", str(storage), remedy)
+        raise ParameterError("storage", study_storage.shown(storage), remedy)
     study.set_user_attr("identity", identity)
     return study
 

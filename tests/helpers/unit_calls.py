@@ -46,3 +46,10 @@ def allocates(gib):
 
 def waits(seconds):
     time.sleep(seconds)
+
+
+def begins_and_ends(folder, name, seconds):
+    """Note the process that begins a unit, take a time, and return the name."""
+    noted(folder, name, None)
+    time.sleep(seconds)
+    return name
