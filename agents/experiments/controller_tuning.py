@@ -7,10 +7,7 @@ in SQLite: a search that was interrupted goes on where it stopped. The first tri
 from __future__ import annotations
 
 import math
-import os
 import re
-import socket
-import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -23,7 +20,13 @@ import numpy as np
 
 import shake_env
 from agents.execution.units import Unit, UnitRunner, report
-from agents.experiments.study_storage import is_shared, open_study, storage_errors
+from agents.experiments.study_storage import (
+    is_shared,
+    may_begin,
+    open_study,
+    shared_sampler,
+    storage_errors,
+)
 from agents.policies.own_controller import is_own_controller, own_baseline, own_source
 from agents.run_directory import locked
 from agents.seeds import VALIDATION_SEED
@@ -43,7 +46,6 @@ from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario.digest import scenario_digest
 from shake_env.scenario.scenario import Scenario
 
-POLL = 0.5  # [s] between two looks at a study whose last trials other processes have
 FAILED = 1e6  # cost of a trial whose design fails
 
 
@@ -333,23 +335,9 @@ def _share_study(
     seed: int,
     on_trial: Callable[[int, int, float], None],
 ) -> None:
-    """Work on a study beside other processes until it has `total` trials, or one more for each of them.
-
-    Each draws from a seed of its own, by the number of trials there when it begins and its process.
-    """
-    import optuna
-
-    own = zlib.crc32(f"{socket.gethostname()} {os.getpid()}".encode()) % 997
-    study.sampler = optuna.samplers.TPESampler(
-        seed=seed + 1000 * _finished(study) + own, multivariate=True, constant_liar=True
-    )
-    while (done := _finished(study)) < total:
-        running = sum(trial.state.name == "RUNNING" for trial in study.get_trials(deepcopy=False))
-        if done + running >= total:  # others finish them, or are lost and their trials queued again
-            optuna.storages.fail_stale_trials(study)
-            if not any(t.state.name == "WAITING" for t in study.get_trials(deepcopy=False)):
-                time.sleep(POLL)
-                continue
+    """Work on a study beside other processes until it has `total` trials."""
+    study.sampler = shared_sampler(seed, _finished(study))
+    while may_begin(study, total, lambda: _finished(study)):
         study.optimize(objective, n_trials=1)
         on_trial(_finished(study), total, study.best_value)
 

@@ -7,19 +7,26 @@ machines work on: ``postgresql+pg8000://...`` and whatever else SQLAlchemy reach
 
 from __future__ import annotations
 
+import os
+import socket
 import sqlite3
+import time
 import warnings
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from shake_env.errors import ParameterError, ShakeError, install_hint
+from agents.run_directory import InUseError, locked
+from shake_env.errors import ParameterError, RunDirectoryError, ShakeError, install_hint
 from shake_env.files import file_errors, no_file
 
 HEARTBEAT = 30  # [s] between two signs of life of a trial in a shared database
 GRACE = 120  # [s] without one, after which another process tries the trial again
+SLOTS = 1000  # processes that work on a search from one folder
+POLL = 0.5  # [s] between two looks at a study whose last trials other processes have
 RETRIES = 3  # of a trial whose processes were lost
 _JOURNAL, _PROXY = "journal:", "grpc://"
 _OF_OPTUNA = {"version_info", "studies", "trials"}  # tables of every file of Optuna's
@@ -69,10 +76,12 @@ def _shared(url: str) -> Any:
 
     storages = optuna.storages
     if url.startswith(_JOURNAL):
+        from optuna.storages.journal import JournalFileBackend
+
         file = Path(url.removeprefix(_JOURNAL).removeprefix("//"))
         with file_errors(file):
             file.parent.mkdir(parents=True, exist_ok=True)
-        return storages.JournalStorage(storages.journal.JournalFileBackend(str(file)))
+        return storages.JournalStorage(JournalFileBackend(str(file)))
     if url.startswith(_PROXY):
         host, _, port = url.removeprefix(_PROXY).rstrip("/").rpartition(":")
         if not host or not port.isdecimal():
@@ -101,6 +110,64 @@ def _require_own(storage: Path) -> None:
         tables = {row[0] for row in file.execute("select name from sqlite_master where type = 'table'")}
     if tables and not tables >= _OF_OPTUNA:
         raise ParameterError("storage", str(storage), "is another program's SQLite file: name another")
+
+
+def sign_of_life(study: Any, trial: Any) -> AbstractContextManager[Any]:
+    """Return what reports that a trial runs, where the storage has heartbeats."""
+    from optuna.storages._heartbeat import get_heartbeat_thread
+
+    thread = get_heartbeat_thread(trial._trial_id, study._storage)
+    return cast("AbstractContextManager[Any]", thread)
+
+
+def free_slot(home: Path, held: ExitStack) -> str:
+    """Hold the first folder of a search that no other process has, and return its name.
+
+    Raises
+    ------
+    RunDirectoryError
+        If there is none.
+    """
+    for number in range(SLOTS):
+        try:
+            held.enter_context(locked(home / f"worker-{number}"))
+        except InUseError:
+            continue
+        return f"worker-{number}"
+    raise RunDirectoryError("folder", str(home), f"{SLOTS} processes have it: name another")
+
+
+def may_begin(study: Any, total: int, finished: Callable[[], int]) -> bool:
+    """Wait until a shared study lacks a trial that no process has; return whether there is one.
+
+    Parameters
+    ----------
+    study
+        Other processes work on it, too.
+    total
+        Trials that are wanted. Processes that find the last one lacking at once each make one.
+    finished
+        The number of those that are done.
+    """
+    import optuna
+
+    while (done := finished()) < total:
+        optuna.storages.fail_stale_trials(study)
+        states = [trial.state.name for trial in study.get_trials(deepcopy=False)]
+        if "WAITING" in states or done + states.count("RUNNING") < total:
+            return True
+        time.sleep(POLL)
+    return False
+
+
+def shared_sampler(seed: int, finished: int) -> Any:
+    """Return a sampler of a shared study, seeded by the process and the number of trials done."""
+    import optuna
+
+    own = zlib.crc32(f"{socket.gethostname()} {os.getpid()}".encode()) % 997
+    return optuna.samplers.TPESampler(
+        seed=seed + 1000 * finished + own, multivariate=True, constant_liar=True
+    )
 
 
 @contextmanager
