@@ -22,6 +22,7 @@ sys.path.insert(0, str(ROOT))  # this checkout, whatever is installed
 from agents.cli.command_options import FolderOptions  # noqa: E402
 from agents.cli.commands import COMMANDS  # noqa: E402
 from agents.evaluation.results import COLUMNS  # noqa: E402
+from agents.execution.options import ExecutionOptions  # noqa: E402
 from agents.reporting.evaluation_tables import cost_interval, interval  # noqa: E402
 from agents.reporting.markdown_blocks import with_block  # noqa: E402
 from baselines.catalogue import BASELINES  # noqa: E402
@@ -74,7 +75,7 @@ TOPICS = {
     ),
     "baselines": ("lqr", "estimation", "planning", "servo", "iterative", "analysis"),
     "agents": (
-        "policies", "evaluation", "training", "learning", "experiments", "reporting", "motions",
+        "policies", "execution", "evaluation", "training", "learning", "experiments", "reporting", "motions",
         "studies", "cli",
     ),
 }  # fmt: skip
@@ -292,6 +293,8 @@ assert frame.attrs["units"]["peak_current"] == "A"
 
 def command_line() -> str:
     """Return the page of the commands: their purpose and what to try, from their docstrings."""
+    names = (field.name.replace("_", "-") for field in fields(ExecutionOptions))
+    execution = ", ".join(f"`--{name}`" for name in names)
     parts = [
         "# Command line\n", NOTE,
         "`shake COMMAND --help` lists every option with its unit. `--json` prints one object on "
@@ -301,6 +304,8 @@ def command_line() -> str:
         "Options that change a scenario are common to most commands: `shake COMMAND --help-scenario` "
         "lists them. Wherever a scenario's name is taken, the path of a "
         "[scenario file](../howto/files.md) is taken as well; Python's `make_scenario` takes it, too.\n",
+        "Options of where work runs are common to the commands that can share it among processes and "
+        f"[machines](../howto/cluster.md): {execution}.\n",
         "Without `--output` a folder of results is the next free one of `out/NAME`, `out/NAME-2`, and "
         "so on. A folder that `--output` names must be new or empty, unless `--force` is given. A "
         "file that an option names is replaced.\n",
@@ -318,10 +323,12 @@ def command_line() -> str:
         parts += [f"## shake {name}\n", "\n".join(lines).strip() + "\n"]
         examples = [line.strip() for line in tries.strip().splitlines()]
         parts.append("```sh\n" + "\n".join(examples) + "\n```\n")
-        common = {"scenario", *(f.name for f in fields(FolderOptions))}
+        common = {"scenario", "execution", *(f.name for f in fields(FolderOptions))}
         own = [f.name for f in fields(command) if f.name not in common]
         options = ", ".join(f"`{option.replace('_', '-')}`" for option in own)
-        parts.append(f"Options of its own: {options or 'none'}.\n")
+        shared = "execution" in {f.name for f in fields(command)}
+        where = "; and those of where work runs" if shared else ""
+        parts.append(f"Options of its own: {options or 'none'}{where}.\n")
     return "\n".join(parts)
 
 

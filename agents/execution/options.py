@@ -40,8 +40,7 @@ class ExecutionOptions:
     """Memory of a worker [GiB]: what Ray or Slurm reserves, and the bound of its allocations."""
     units: Path | None = None
     """Folder of the parts that are done, until all is: the same command goes on from them, with any
-    executor. On a file system that the machines share nothing that is done can be lost (unset: units in
-    the user's cache, see docs/howto/files.md)."""
+    executor (unset: `units` in the user's cache, SHAKE_ENV_CACHE or ~/.cache/shake-env)."""
 
     def __post_init__(self) -> None:
         if self.processes is not None and self.processes < 1:

@@ -25,6 +25,7 @@ from shake_env.files import file_errors, no_file
 
 HEARTBEAT = 30  # [s] between two signs of life of a trial in a shared database
 GRACE = 120  # [s] without one, after which another process tries the trial again
+ATTEMPTS = 4  # to open a database in which other processes make the tables
 SLOTS = 1000  # processes that work on a search from one folder
 POLL = 0.5  # [s] between two looks at a study whose last trials other processes have
 RETRIES = 3  # of a trial whose processes were lost
@@ -73,6 +74,7 @@ def _own_file(file: Path) -> Any:
 
 def _shared(url: str) -> Any:
     import optuna
+    import sqlalchemy.exc
 
     storages = optuna.storages
     if url.startswith(_JOURNAL):
@@ -97,7 +99,15 @@ def _shared(url: str) -> Any:
     else:
         name, callback = "failed_trial_callback", storages.RetryFailedTrialCallback
     retry: dict[str, Any] = {name: callback(RETRIES)}
-    return storages.RDBStorage(url, heartbeat_interval=HEARTBEAT, grace_period=GRACE, **retry)
+    for attempt in range(1, ATTEMPTS + 1):
+        try:
+            return storages.RDBStorage(url, heartbeat_interval=HEARTBEAT, grace_period=GRACE, **retry)
+        except (sqlalchemy.exc.IntegrityError, sqlalchemy.exc.ProgrammingError):
+            # Another process makes the tables at the same time, and a server refuses the second.
+            if attempt == ATTEMPTS:
+                raise
+            time.sleep(attempt)
+    raise AssertionError
 
 
 def _require_own(storage: Path) -> None:
