@@ -75,8 +75,8 @@ TOPICS = {
     ),
     "baselines": ("lqr", "estimation", "planning", "servo", "iterative", "analysis"),
     "agents": (
-        "policies", "execution", "evaluation", "training", "learning", "experiments", "reporting", "motions",
-        "studies", "cli",
+        "policies", "execution", "evaluation", "training", "learning", "experiments", "reporting",
+        "motions", "studies", "cli",
     ),
 }  # fmt: skip
 SB3_GUIDE = DOCS / "howto" / "train_with_sb3.md"

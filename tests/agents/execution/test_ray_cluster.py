@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -41,10 +42,12 @@ def cluster():
     from ray.cluster_utils import Cluster
 
     small = {"object_store_memory": 100 * 2**20, "memory": 4 * 2**30}
-    made = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, **small})
-    made.workers = [made.add_node(num_cpus=1, **small) for _ in range(2)]
-    yield made
-    made.shutdown()
+    with tempfile.TemporaryDirectory(dir="/tmp") as short:  # a socket's path is at most 107 long
+        head = {"num_cpus": 0, "temp_dir": short, **small}
+        made = Cluster(initialize_head=True, head_node_args=head)
+        made.workers = [made.add_node(num_cpus=1, **small) for _ in range(2)]
+        yield made
+        made.shutdown()
 
 
 def wait_until(condition, process, seconds=240.0):
