@@ -31,6 +31,10 @@ LARGEST_JSON = 256 * 2**20  # [byte] a larger file is none of this program's
 _PARTIAL = re.compile(r"\..+\.\d+\.partial")  # name of a file that is not complete
 
 
+class InUseError(RunDirectoryError):
+    """Another process holds a folder."""
+
+
 def parse_json(text: str | bytes) -> Any:
     """Return the value of a JSON text.
 
@@ -178,7 +182,7 @@ def locked(folder: Path, wait: float = 0.0, field: str = "run directory") -> Ite
 
     Raises
     ------
-    RunDirectoryError
+    InUseError
         If another process holds it.
     FileError
         If the folder cannot be written.
@@ -190,7 +194,7 @@ def locked(folder: Path, wait: float = 0.0, field: str = "run directory") -> Ite
         try:
             lock.acquire(timeout=wait)
         except Timeout:
-            raise RunDirectoryError(field, str(folder), _held_by(owner)) from None
+            raise InUseError(field, str(folder), _held_by(owner)) from None
     try:
         _remove(entry for entry in folder.iterdir() if _PARTIAL.fullmatch(entry.name))
         write_json(
@@ -271,6 +275,14 @@ def policy_of_run(run: Path) -> Path:
     """Return the policy file of a run directory: of a finished run its policy, else its best so far."""
     best = run / BEST
     return best if best.is_file() and not (run / POLICY).is_file() else run / POLICY
+
+
+def cache_folder() -> Path:
+    """Return the user's cache: SHAKE_ENV_CACHE, or shake-env in XDG_CACHE_HOME or ~/.cache."""
+    given = os.environ.get("SHAKE_ENV_CACHE")
+    if given:
+        return Path(given)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "shake-env"
 
 
 def _remove(files: Iterable[Path]) -> None:

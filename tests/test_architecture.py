@@ -22,6 +22,7 @@ ROOMS = """
     agents/acceptance
     agents/training
     agents/evaluation agents/learning
+    agents/execution
     agents/policies
     agents/scenario_options agents/figure_style agents/provenance agents/progress
     agents/run_directory
@@ -214,7 +215,7 @@ def test_studies_stand_apart_from_all_but_their_commands():
 # Where a file is opened to be written without `files`, and why that is right.
 OTHER_WRITERS = {
     "agents.run_directory": 1,  # a line appended to a file of lines, half a line dropped
-    "agents.experiments.runner": 1,  # a process writes its output there while it runs
+    "agents.execution.worker": 1,  # what a call prints goes there while it runs
     "agents.cli.output_path": 1,  # opened to find out whether it can be written; nothing is
 }
 

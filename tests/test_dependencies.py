@@ -66,7 +66,7 @@ def licences(name):
 
 
 def installed():
-    names = closure(ROOT, ["agents", "dev"])
+    names = closure(ROOT, ["agents", "dev", "ray", "slurm"])
     return sorted(n for n in names if _present(n) and n != ROOT)
 
 

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from agents.cli.command_options import CommandOptions, print_notes, tuned_values
 from agents.cli.output_path import output_file
+from agents.execution.options import ExecutionOptions
 from agents.motions.channels import MotionOptions
 from agents.motions.motion_set import read_motion_set
 from agents.plain_values import plain
@@ -46,6 +47,9 @@ class Evaluate(CommandOptions):
     motion_options: Annotated[MotionOptions, tyro.conf.arg(name="motion")] = field(
         default_factory=MotionOptions
     )
+    execution: Annotated[ExecutionOptions, tyro.conf.arg(name="")] = field(
+        default_factory=ExecutionOptions
+    )
     fidelity: bool = True
     """Whether response spectrum, drift and energy are compared, too."""
     output: Path | None = None
@@ -71,7 +75,7 @@ class Evaluate(CommandOptions):
         file = None
         if self.output is not None or not self.json:
             file = output_file(self.output, Path("out/evaluate") / f"{scenario.name}.json")
-        with progress_by_name() as on_progress:
+        with self.execution.open_runner() as runner, progress_by_name() as on_progress:
             result = evaluate(
                 scenario,
                 [find_entry(text, scenario) for text in self.entries],
@@ -80,6 +84,7 @@ class Evaluate(CommandOptions):
                 tuned=tuned,
                 motions=motions,
                 events=events,
+                runner=runner,
                 on_progress=on_progress,
             )
         if chosen is not None:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import tyro
 from rich.console import Console
 from rich.progress import TextColumn
 
 from agents.cli.command_options import CommandOptions
 from agents.cli.output_path import require_writable
+from agents.execution.executor import Executor
+from agents.execution.options import ExecutionOptions
+from agents.execution.units import UnitRunner
 from agents.progress import progress_bar
 from agents.reporting.terminal import print_table
 from shake_env.errors import ParameterError, ShakeError
@@ -32,10 +36,11 @@ class RunExperiments(CommandOptions):
     """Recipes as SCENARIO/ALGORITHM, or patterns such as linear/*; none: all."""
     seeds: int | None = None
     """Seeds of each experiment (unset: as many as it asks for)."""
-    processes: int = 2
-    """Runs at a time, each of one thread."""
+    execution: Annotated[ExecutionOptions, tyro.conf.arg(name="")] = field(
+        default_factory=ExecutionOptions
+    )
     folder: Path = Path("runs/campaign")
-    """Where runs lie, as SCENARIO/ALGORITHM/SEED."""
+    """Where runs lie, as SCENARIO/ALGORITHM/SEED; machines of a cluster must share it."""
     results: Path = Path("out/campaign")
     """Folder of the results, a JSON file for each scenario (the documentation's: docs/results)."""
     evaluate: bool = True
@@ -50,23 +55,24 @@ class RunExperiments(CommandOptions):
         from agents.experiments.catalogue import EXPERIMENTS
         from agents.experiments.runner import Campaign, plan, plan_rows
 
-        if self.processes < 1:
-            raise ParameterError("processes", self.processes, "must be at least 1")
         if self.seeds is not None and self.seeds < 1:
             raise ParameterError("seeds", self.seeds, "must be at least 1")
         tasks = plan(EXPERIMENTS, self.folder, self.experiments, self.seeds)
-        campaign = Campaign(tasks, self.processes)
+        campaign = Campaign(tasks, self.execution.processes or 2)
         if self.dry_run:
             rows = plan_rows(tasks)
             minutes = campaign.seconds_left() / 60.0
-            _print_plan(rows, minutes, self.processes, console)
+            _print_plan(rows, minutes, campaign.workers, console)
             return {"plan": rows, "minutes_left": minutes}
         require_writable(self.folder, "folder")
         if self.evaluate:
             require_writable(self.results, "results")
-        _train(campaign, console)
-        failures = dict(campaign.failures())
-        written = self._evaluate(tasks, failures, console) if self.evaluate else []
+        with self.execution.open_executor() as executor:
+            _train(campaign, executor, console)
+            failures = dict(campaign.failures())
+            runner = UnitRunner(executor, self.execution.folder)
+            written = self._evaluate(tasks, failures, runner, console) if self.evaluate else []
+        runner.forget()
         for name, failure in failures.items():
             console.print(f"failed: {name}: {failure}", highlight=False)
         return {"runs": campaign.counts(), "failures": failures, "results": written}
@@ -75,7 +81,9 @@ class RunExperiments(CommandOptions):
         """Return 1 if a run or an evaluation failed."""
         return 1 if result.get("failures") else 0
 
-    def _evaluate(self, tasks: list[Any], failures: dict[str, str], console: Console) -> list[str]:
+    def _evaluate(
+        self, tasks: list[Any], failures: dict[str, str], runner: UnitRunner, console: Console
+    ) -> list[str]:
         from agents.experiments.catalogue import EVALUATION_TASKS
         from agents.experiments.results import evaluate_task
 
@@ -93,7 +101,12 @@ class RunExperiments(CommandOptions):
                         progress.update(bar, completed=share, description=text)
 
                     file, _, made = evaluate_task(
-                        task, self.folder, self.results, again=self.rerun, on_progress=told
+                        task,
+                        self.folder,
+                        self.results,
+                        again=self.rerun,
+                        runner=runner,
+                        on_progress=told,
                     )
             except ShakeError as error:
                 failures[f"evaluation of {task.name}"] = str(error)
@@ -103,7 +116,7 @@ class RunExperiments(CommandOptions):
         return written
 
 
-def _train(campaign: Any, console: Console) -> None:
+def _train(campaign: Any, executor: Executor, console: Console) -> None:
     columns = (TextColumn("{task.fields[note]}"),)
     with progress_bar(*columns) as progress:
         total = progress.add_task("campaign", total=len(campaign.tasks), note="")
@@ -128,7 +141,7 @@ def _train(campaign: Any, console: Console) -> None:
                     console.print(f"{task.name}: {task.state}", highlight=False)
 
         on_update(campaign)
-        campaign.run(on_update)
+        campaign.run(executor, on_update)
 
 
 def _print_plan(rows: list[dict[str, Any]], minutes: float, processes: int, console: Console) -> None:

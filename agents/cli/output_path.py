@@ -79,6 +79,12 @@ def require_writable_file(file: Path, field: str) -> None:
             raise _refused(file, field, error) from None
 
 
+def require_storage(storage: str) -> None:
+    """Raise ParameterError unless a search's storage is a URL, or a file that can be written."""
+    if "://" not in storage and not storage.startswith("journal:"):
+        require_writable_file(Path(storage), "storage")
+
+
 def require_writable(folder: Path, field: str) -> None:
     """Raise ParameterError unless a folder can be written to; make it."""
     try:

@@ -11,6 +11,7 @@ import tyro
 from rich.console import Console
 
 from agents.cli.command_options import FolderOptions, print_notes, tuned_values
+from agents.execution.options import ExecutionOptions
 from agents.plain_values import plain
 from agents.progress import progress_by_name
 from agents.reporting.terminal import print_markdown
@@ -54,6 +55,9 @@ class Robustness(FolderOptions):
     """Number of filtered-noise earthquakes, the same everywhere; `records` has its six."""
     seed: int = ROBUSTNESS_SEED
     """Seed of the first of them."""
+    execution: Annotated[ExecutionOptions, tyro.conf.arg(name="")] = field(
+        default_factory=ExecutionOptions
+    )
     all: bool = False
     """Renew docs/robustness.md: every scenario on it with its results and figures, a quarter of an hour.
     A scenario is not run again where policies and settings are those of before, and every controller
@@ -121,7 +125,8 @@ def _measure(command: Robustness, options: ScenarioOptions) -> dict[str, Any]:
     from agents.evaluation.robustness import Grid, robustness
 
     scenario = options.build()
-    with progress_by_name(f"{scenario.name}, ") as on_progress:
+    progress = progress_by_name(f"{scenario.name}, ")
+    with command.execution.open_runner() as runner, progress as on_progress:
         result = robustness(
             scenario,
             command.controllers or (),
@@ -129,6 +134,7 @@ def _measure(command: Robustness, options: ScenarioOptions) -> dict[str, Any]:
             grid=Grid.of(scenario, command.perturb, command.maps),
             earthquakes=command.earthquakes,
             seed=command.seed,
+            runner=runner,
             on_progress=on_progress,
         )
     return result | {"identity": _identity(command, options)}

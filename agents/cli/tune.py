@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
 
 from agents.cli.command_options import CommandOptions
-from agents.cli.output_path import require_writable_file
-from agents.progress import progress_bar
+from agents.cli.output_path import require_storage, require_writable_file
+from agents.execution.options import ExecutionOptions
+from agents.progress import progress_bar, progress_by_name
 from agents.scenario_options import ScenarioOptions
-from shake_env.errors import NumericalError, ParameterError, ScenarioError
 from shake_env.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from agents.experiments.controller_tuning import TuningResult
 
 ALL = "all"
 
@@ -41,8 +44,13 @@ class Tune(CommandOptions):
     """Validation earthquakes of a trial."""
     seed: int = 0
     """Seed of the search."""
-    storage: Path = Path("runs/tune.db")
-    """SQLite file with the trace of every search; a search in it is gone on with."""
+    storage: str = "runs/tune.db"
+    """SQLite file with the trace of every search; a search in it is gone on with. Or a storage that
+    several processes and machines work on: postgresql+pg8000://USER@HOST/NAME, grpc://HOST:PORT or
+    journal:FILE."""
+    execution: Annotated[ExecutionOptions, tyro.conf.arg(name="")] = field(
+        default_factory=ExecutionOptions
+    )
     output: Path | None = None
     """JSON file to put the result in, which compare, benchmark, evaluate and robustness take by --tuned.
     The result belongs to this very scenario, identified by a digest of it."""
@@ -54,20 +62,39 @@ class Tune(CommandOptions):
 
         if self.output is not None:
             require_writable_file(self.output, "output")
-        require_writable_file(self.storage, "storage")
+        require_storage(self.storage)
         kept_values(self.output)  # says before the search if it is another kind of file
         if self.controller != ALL:
             return self._tune(self.controller, scenario, console)
 
+        return self._tune_all(scenario, console)
+
+    def _tune_all(self, scenario: Scenario, console: Console) -> dict[str, Any]:
+        from agents.experiments.controller_tuning import keep, kept_values, tune_each
         from baselines.catalogue import BASELINES
 
-        results = {}
-        for name in BASELINES:
-            try:
-                results[name] = self._tune(name, scenario, console)
-            except (ParameterError, ScenarioError, NumericalError) as error:
-                results[name] = {"left_out": str(error)}
-                console.print(f"[dim]{name} left out: {error}[/]")
+        results: dict[str, Any] = {}
+        with self.execution.open_runner() as runner, progress_by_name("tuning ") as on_progress:
+            found = tune_each(
+                [*BASELINES],
+                scenario,
+                self.storage,
+                budget=self.budget,
+                earthquakes=self.earthquakes,
+                seed=self.seed,
+                tuned=kept_values(self.output),
+                runner=runner,
+                on_progress=on_progress,
+            )
+        for name, each in found.items():
+            if isinstance(each, str):
+                results[name] = {"left_out": each}
+                console.print(f"[dim]{name} left out: {each}[/]")
+                continue
+            self._print(each, console)
+            if self.output is not None:
+                keep(each, self.output)
+            results[name] = each.to_json()
         return results
 
     def _tune(self, name: str, scenario: Scenario, console: Console) -> dict[str, Any]:
@@ -90,13 +117,16 @@ class Tune(CommandOptions):
                 tuned=kept_values(self.output),
                 on_trial=on_trial,
             )
+        self._print(tuning, console)
+        if self.output is not None:
+            keep(tuning, self.output)
+            console.print(f"wrote {self.output}")
+        return tuning.to_json()
+
+    def _print(self, tuning: TuningResult, console: Console) -> None:
         console.print(
             f"{tuning.controller} on {tuning.scenario}: cost {tuning.cost:.4g} after {tuning.trials} "
             f"trials, {tuning.default_cost:.4g} by default"
         )
         for parameter, value in tuning.parameters.items():
             console.print(f"  {parameter} = {value:.6g}")
-        if self.output is not None:
-            keep(tuning, self.output)
-            console.print(f"wrote {self.output}")
-        return tuning.to_json()

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import TextColumn
 
 from agents.cli.command_options import CommandOptions
-from agents.cli.output_path import require_writable, require_writable_file
+from agents.cli.output_path import require_storage, require_writable, require_writable_file
 from agents.progress import display, progress_bar
 from shake_env.errors import ParameterError
 
@@ -44,8 +44,10 @@ class TuneTraining(CommandOptions):
     """Seed of the search; every trial trains with the same seed."""
     earthquakes: int = 64
     """Validation earthquakes that a trial is judged on."""
-    storage: Path = Path("runs/tune-training.db")
-    """SQLite file with the trace of every search; a search in it is gone on with."""
+    storage: str = "runs/tune-training.db"
+    """SQLite file with the trace of every search; a search in it is gone on with. Or a storage that
+    several processes and machines work on: postgresql+pg8000://USER@HOST/NAME, grpc://HOST:PORT or
+    journal:FILE."""
     folder: Path = Path("runs/tune-training")
     """Where the trials' runs lie."""
     output: Path | None = None
@@ -65,7 +67,7 @@ class TuneTraining(CommandOptions):
             raise ParameterError("output", str(self.output), remedy)
         if self.output is not None:
             require_writable_file(self.output, "output")
-        require_writable_file(self.storage, "storage")
+        require_storage(self.storage)
         require_writable(self.folder, "folder")
         search = Search(
             experiment=find_experiment(self.experiment),

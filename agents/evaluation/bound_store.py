@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
@@ -21,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from agents.run_directory import cache_folder
 from baselines.planning.bound import THREADS, OptimalEpisode, Start, optimal_episodes
 from baselines.planning.episodes import Episode, episodes
 from shake_env.errors import FileError, ScenarioError, ShakeError
@@ -75,14 +75,6 @@ class Bounds:
             "code": search_code(),
             "reason": self.reason,
         }
-
-
-def cache_folder() -> Path:
-    """Return the user's cache: SHAKE_ENV_CACHE, or shake-env in XDG_CACHE_HOME or ~/.cache."""
-    given = os.environ.get("SHAKE_ENV_CACHE")
-    if given:
-        return Path(given)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "shake-env"
 
 
 @lru_cache

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import cloudpickle
+
 from agents.evaluation.training_distance import training_warning
 from agents.policies.policy_file import PolicyFile
 from agents.policies.registry import find_controller, get_controller, values_for
@@ -99,6 +101,44 @@ def get_controllers(
                 raise
             result.skipped.append(f"the shipped {entry.name} ({error})")
     return result
+
+
+class PortableController:
+    """A controller that travels to another process: as it is, or made there again of what it is made of.
+
+    Parameters
+    ----------
+    name, scenario, parameters
+        As `get_controller` takes them; a solver's memory does not travel.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        name: str,
+        scenario: Scenario,
+        parameters: Mapping[str, float] | None,
+    ) -> None:
+        self.controller = controller
+        self._made_of = name, scenario, parameters
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        try:
+            content = cloudpickle.dumps(self.controller)
+        except TypeError:
+            content = None
+        return _arrived, (content, *self._made_of)
+
+
+def _arrived(
+    content: bytes | None, name: str, scenario: Scenario, parameters: Mapping[str, float] | None
+) -> PortableController:
+    controller = (
+        get_controller(name, scenario, None, parameters)
+        if content is None
+        else cloudpickle.loads(content)
+    )
+    return PortableController(controller, name, scenario, parameters)
 
 
 def require_names(names: Sequence[str]) -> None:

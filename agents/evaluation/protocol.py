@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from os import PathLike
 from pathlib import Path
@@ -19,7 +19,8 @@ from agents.evaluation.latency import decision_time
 from agents.evaluation.results import plain_row
 from agents.evaluation.scores import Episodes, below_bound, cost_figures, summary
 from agents.evaluation.training_distance import training_warning
-from agents.policies.own_controller import is_own_controller, own_baseline
+from agents.execution.units import Unit, UnitRunner, report
+from agents.policies.own_controller import is_own_controller, own_baseline, own_source
 from agents.policies.policy_file import PolicyFile, digest, load_policy
 from agents.policies.registry import (
     CLASSICAL,
@@ -35,9 +36,8 @@ from agents.provenance import code_version, machine
 from agents.run_directory import BEST, POLICY, policy_of_run
 from agents.seeds import TEST_SEED
 from baselines.information import scenario_information
-from baselines.registry import reference_name
+from baselines.registry import ParameterValues, reference_name
 from baselines.tuned_values import TunedValues
-from shake_env.controller import Controller
 from shake_env.errors import ParameterError, PolicyFileError
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
 from shake_env.scenario.digest import known_name
@@ -154,6 +154,7 @@ def evaluate(
     tuned: TunedValues | None = None,
     motions: Sequence[Earthquake] = (),
     events: Sequence[str] = (),
+    runner: UnitRunner | None = None,
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
 ) -> dict[str, Any]:
     """Return the result of the protocol as plain JSON values.
@@ -177,6 +178,8 @@ def evaluate(
         Tuned values of a file that was named; see `baselines.registry.parameter_values`.
     motions, events
         Recorded motions to evaluate on in place of the scenario's own, and the event of each.
+    runner
+        Runs the parts of the evaluation; None: this process.
     on_progress
         Told the controller that runs, or ``bound``, and its share done, 0 to 1.
 
@@ -221,15 +224,13 @@ def evaluate(
         for text in dict.fromkeys(training_warning(policy, scenario) for policy in each.policies)
         if text
     ]
-    episodes, latency = {}, {}
-    for name, each in rows.items():
-
-        def told(share: float, name: str = name) -> None:
-            on_progress(name, share)
-
-        parameters = values[name].parameters if name in values else None
-        episodes[name] = _episodes(each, scenario, quakes, repeats, told, parameters)
-        latency[name] = _latency(each, scenario, parameters)
+    episodes = _all_episodes(
+        rows.values(), scenario, quakes, repeats, values, runner or UnitRunner(), on_progress
+    )
+    latency = {
+        name: _latency(each, scenario, values[name].parameters if name in values else None)
+        for name, each in rows.items()
+    }
     plain = {name: found.to_json() for name, found in episodes.items()}
     if known is not None:
         _check_same(plain[SANITY_CONTROLLER], known["episodes"].get(SANITY_CONTROLLER))
@@ -317,49 +318,65 @@ def _check_same(found: dict[str, Any], before: dict[str, Any] | None) -> None:
         )
 
 
-def _episodes(
-    each: Entry,
+def _all_episodes(
+    entries: Iterable[Entry],
     scenario: Scenario,
     quakes: Sequence[Earthquake],
     repeats: bool,
-    told: Callable[[float], None],
-    parameters: Mapping[str, float] | None,
-) -> Episodes:
+    values: Mapping[str, ParameterValues],
+    runner: UnitRunner,
+    on_progress: Callable[[str, float], None],
+) -> dict[str, Episodes]:
+    """Return the episodes of every entry; a policy on some earthquakes side by side is a unit."""
     lanes = LANES if repeats else MANY_LANES
     parts = [quakes[i : i + lanes] for i in range(0, len(quakes), lanes)]
-    work = each.runs * len(parts)
-    rows: list[list[dict[str, Any]]] = []
-    for run in range(each.runs):
-        rows.append([])
-        for number, part in enumerate(parts):
-            done = run * len(parts) + number
+    units: list[Unit] = []
+    members: list[tuple[str, int]] = []  # name and run of each unit
+    for each in entries:
+        parameters = values[each.name].parameters if each.name in values else None
+        own = own_source(each.name) if is_own_controller(each.name) and not each.policies else None
+        for run in range(each.runs):
+            policy = each.policies[run] if each.policies else None
+            for part in parts:
+                arguments = (each.name, policy, scenario, part, repeats, parameters)
+                name = f"{each.name} {run + 1}" if each.runs > 1 else each.name
+                units.append(Unit(name, _part, arguments, (arguments, own)))
+                members.append((each.name, run))
+    done = dict.fromkeys(range(len(units)), 0.0)
 
-            def share(part_done: float, done: int = done) -> None:
-                told((done + part_done) / work)
+    def told(index: int, share: float) -> None:
+        done[index] = share
+        name = members[index][0]
+        own = [done[i] for i, member in enumerate(members) if member[0] == name]
+        on_progress(name, sum(own) / len(own))
 
-            driven, controller = _controller(each, run, scenario, part, parameters)
-            record = range(len(part)) if repeats else ()
-            metrics, traces = rollout(controller, driven, part, record=record, on_step=share)
-            for lane, found in enumerate(metrics):
-                row = asdict(found)
-                if repeats:
-                    row |= asdict(
-                        fidelity(traces[lane], scenario.physics_step, scenario.specimen.stories)
-                    )
-                rows[-1].append(plain_row(row))
-    return Episodes.of(rows)
+    rows: dict[str, dict[int, list[dict[str, Any]]]] = {}
+    for (name, run), found in zip(members, runner.run(units, told), strict=True):
+        rows.setdefault(name, {}).setdefault(run, []).extend(found)
+    return {name: Episodes.of([*runs.values()]) for name, runs in rows.items()}
 
 
-def _controller(
-    each: Entry,
-    run: int,
+def _part(
+    name: str,
+    policy: PolicyFile | None,
     scenario: Scenario,
     quakes: Sequence[Earthquake],
+    repeats: bool,
     parameters: Mapping[str, float] | None,
-) -> tuple[Scenario, Controller]:
-    if each.policies:
-        return scenario, each.policies[run]
-    return get_driven(each.name, scenario, quakes, parameters)
+) -> list[dict[str, Any]]:
+    """Return the figures of a controller on some earthquakes."""
+    driven, controller = (
+        get_driven(name, scenario, quakes, parameters) if policy is None else (scenario, policy)
+    )
+    record = range(len(quakes)) if repeats else ()
+    metrics, traces = rollout(controller, driven, quakes, record=record, on_step=report)
+    rows = []
+    for lane, found in enumerate(metrics):
+        row = asdict(found)
+        if repeats:
+            row |= asdict(fidelity(traces[lane], scenario.physics_step, scenario.specimen.stories))
+        rows.append(plain_row(row))
+    return rows
 
 
 def _latency(each: Entry, scenario: Scenario, parameters: Mapping[str, float] | None) -> float | None:

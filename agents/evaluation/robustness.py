@@ -8,14 +8,19 @@ is told stays in the units of the nominal model: it notices the change by what t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 import shake_env
 from agents.evaluation.bound_store import earthquake_bounds
-from agents.evaluation.controller_set import ControllerSet, get_controllers, values_to_json
+from agents.evaluation.controller_set import (
+    ControllerSet,
+    PortableController,
+    get_controllers,
+    values_to_json,
+)
 from agents.evaluation.perturbations import (
     QUANTITIES,
     Change,
@@ -23,6 +28,9 @@ from agents.evaluation.perturbations import (
     perturbed_pair,
     training_range,
 )
+from agents.execution.units import Unit, UnitRunner
+from agents.plain_values import typed
+from agents.policies.own_controller import is_own_controller, own_source
 from agents.policies.policy_file import PolicyFile, digest
 from agents.policies.registry import ORACLE, policies_trained_for, policy_path
 from agents.provenance import code_version, machine
@@ -161,6 +169,7 @@ def robustness(
     earthquakes: int = 8,
     seed: int = ROBUSTNESS_SEED,
     tuned: TunedValues | None = None,
+    runner: UnitRunner | None = None,
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
 ) -> dict[str, Any]:
     """Return costs and failures of every controller under every change, as plain JSON values.
@@ -183,6 +192,8 @@ def robustness(
     tuned
         Tuned values of a file that was named. They, and those that come with the package, are looked up
         for the scenario as it stands: what is changed in it, no controller knows.
+    runner
+        Runs the parts of the map; None: this process.
     on_progress
         Told the controller that runs and its share done, 0 to 1.
 
@@ -199,13 +210,17 @@ def robustness(
     controllers = chosen.controllers
     reference = next(iter(controllers))
     changes = grid.changes(scenario)
-    episodes = {}
-    for name, controller in controllers.items():
-
-        def told(share: float, name: str = name) -> None:
-            on_progress(name, share)
-
-        episodes[name] = evaluate_perturbations(controller, scenario, quakes, changes, told)
+    designs = {
+        name: (
+            controller if isinstance(controller, PolicyFile) else name,
+            chosen.values[name].parameters if name in chosen.values else None,
+            own_source(name) if is_own_controller(name) else None,
+        )
+        for name, controller in controllers.items()
+    }
+    episodes = evaluate_perturbations(
+        controllers, scenario, quakes, changes, designs, runner or UnitRunner(), on_progress
+    )
     cost = {name: np.array([[m.cost for m in row] for row in rows]) for name, rows in episodes.items()}
     failures = {name: [sum(map(failed, row)) for row in rows] for name, rows in episodes.items()}
     return {
@@ -264,29 +279,72 @@ def failed(metrics: EpisodeMetrics) -> bool:
 
 
 def evaluate_perturbations(
-    controller: Controller,
+    controllers: Mapping[str, Controller],
     scenario: Scenario,
     earthquakes: Sequence[Earthquake],
     changes: Sequence[Change],
-    told: Callable[[float], None] = lambda share: None,
-) -> list[list[EpisodeMetrics]]:
-    """Return the figures of a controller on every earthquake, under every change.
+    designs: Mapping[str, tuple[Any, Mapping[str, float] | None, str | None]] | None = None,
+    runner: UnitRunner | None = None,
+    on_progress: Callable[[str, float], None] = lambda controller, share: None,
+) -> dict[str, list[list[EpisodeMetrics]]]:
+    """Return the figures of controllers on every earthquake, under every change.
 
-    Changes that differ by nothing but the motion's amplitude run side by side.
+    Changes that differ by nothing but the motion's amplitude run side by side, a unit of a controller.
+
+    Parameters
+    ----------
+    controllers, scenario, earthquakes, changes
+        What is driven by what.
+    designs
+        What decides each controller: its name or policy, its parameters, a digest of own code. Needed by
+        a runner that keeps units or has workers.
+    runner
+        Runs the units; None: this process.
+    on_progress
+        Told a controller and its share done, 0 to 1.
     """
     groups: dict[Change, list[int]] = {}
     for index, change in enumerate(changes):
         groups.setdefault(tuple(c for c in change if c[0] != "amplitude"), []).append(index)
-    found: list[list[EpisodeMetrics]] = [[] for _ in changes]
-    for number, (change, members) in enumerate(groups.items()):
-        quakes = [
-            replace(q, motion=replace(q.motion, amplitude=factor * q.motion.amplitude))
-            for factor in (dict(changes[i]).get("amplitude", 1.0) for i in members)
-            for q in earthquakes
-        ]
-        true, unaware = perturbed_pair(controller, scenario, dict(change), [q.seed for q in quakes])
-        metrics, _ = rollout(unaware, true, quakes)
-        for place, index in enumerate(members):
-            found[index] = metrics[place * len(earthquakes) : (place + 1) * len(earthquakes)]
-        told((number + 1) / len(groups))
+    units = []
+    for name, controller in controllers.items():
+        for change, members in groups.items():
+            amplitudes = [dict(changes[i]).get("amplitude", 1.0) for i in members]
+            driven = (scenario, tuple(earthquakes), change, tuple(amplitudes))
+            identity = None if designs is None else (designs[name], *driven)
+            parameters = None if designs is None else designs[name][1]
+            portable = PortableController(controller, name, scenario, parameters)
+            units.append(Unit(name, _perturbed, (portable, *driven), identity))
+    done = dict.fromkeys(controllers, 0)
+
+    def told(index: int, share: float) -> None:
+        if share == 1.0:
+            done[units[index].name] += 1
+            on_progress(units[index].name, done[units[index].name] / len(groups))
+
+    results = iter((runner or UnitRunner()).run(units, told))
+    found: dict[str, list[list[EpisodeMetrics]]] = {name: [[] for _ in changes] for name in controllers}
+    for name in controllers:
+        for members in groups.values():
+            for index, rows in zip(members, next(results), strict=True):
+                found[name][index] = [typed(EpisodeMetrics, row) for row in rows]
     return found
+
+
+def _perturbed(
+    driver: PortableController,
+    scenario: Scenario,
+    earthquakes: Sequence[Earthquake],
+    change: Change,
+    amplitudes: Sequence[float],
+) -> list[list[dict[str, Any]]]:
+    """Return the figures on every earthquake at every amplitude, under one change."""
+    quakes = [
+        replace(q, motion=replace(q.motion, amplitude=factor * q.motion.amplitude))
+        for factor in amplitudes
+        for q in earthquakes
+    ]
+    true, unaware = perturbed_pair(driver.controller, scenario, dict(change), [q.seed for q in quakes])
+    metrics, _ = rollout(unaware, true, quakes)
+    rows, number = [asdict(each) for each in metrics], len(earthquakes)
+    return [rows[i : i + number] for i in range(0, len(rows), number)]

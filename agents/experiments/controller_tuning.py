@@ -10,6 +10,7 @@ import math
 import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -18,7 +19,14 @@ from typing import Any
 import numpy as np
 
 import shake_env
-from agents.experiments.study_storage import open_study, storage_errors
+from agents.execution.units import Unit, UnitRunner, report
+from agents.experiments.study_storage import (
+    is_shared,
+    may_begin,
+    open_study,
+    shared_sampler,
+    storage_errors,
+)
 from agents.policies.own_controller import is_own_controller, own_baseline, own_source
 from agents.run_directory import locked
 from agents.seeds import VALIDATION_SEED
@@ -31,8 +39,6 @@ from shake_env.errors import (
     NumericalError,
     ParameterError,
     ScenarioError,
-    ShakeError,
-    install_hint,
 )
 from shake_env.motion.targets import FilteredNoise
 from shake_env.renamed import CONTROLLERS, renamed
@@ -83,7 +89,8 @@ def tune(
     scenario
         Its motion is that of the validation earthquakes.
     storage
-        SQLite file that keeps the trace of every search; made if need be.
+        SQLite file that keeps the trace of every search, made if need be; or the URL of a storage that
+        several processes work on at a time, see `study_storage`.
     budget
         Control periods that may be simulated in all, repeats included: what a policy is trained with by
         default.
@@ -103,7 +110,7 @@ def tune(
     ParameterError
         If it has nothing to tune, or the budget is below one trial.
     """
-    name, storage = renamed("controller", name, CONTROLLERS), Path(storage)
+    name = renamed("controller", name, CONTROLLERS)
     candidate = tunable_baseline(name, scenario)
     tunable = candidate.tunable
     if not tunable:
@@ -126,15 +133,67 @@ def tune(
     parts = (scenario, tunable, own_source(name)) if is_own_controller(name) else (scenario, tunable)
     identity = zlib.crc32(repr(parts).encode())
     study = f"{scenario.name}/{name}/{seed}/{earthquakes}/{identity:08x}"
-    # Two processes would both try the starts, and draw the same trials.
-    storage = Path(storage)
-    home = storage.with_name(f"{storage.stem}-locks") / re.sub(r"[^\w.-]+", "_", study)
-    with locked(home, field="study"), storage_errors(storage):
+    with ExitStack() as held:
+        if not is_shared(storage):
+            # Two processes would both try the starts, and draw the same trials.
+            file = Path(storage)
+            home = file.with_name(f"{file.stem}-locks") / re.sub(r"[^\w.-]+", "_", study)
+            held.enter_context(locked(home, field="study"))
+        held.enter_context(storage_errors(storage))
         result = search(cost, tunable, storage, study, total, seed, on_trial, starts)
     return TuningResult(
         name, scenario.name, scenario_digest(scenario), result.parameters, result.cost,
         result.default_cost, result.trials, result.trials * steps, earthquakes, seed,
     )  # fmt: skip
+
+
+def tune_each(
+    names: Sequence[str],
+    scenario: Scenario,
+    storage: str | PathLike[str],
+    *,
+    budget: int,
+    earthquakes: int,
+    seed: int,
+    tuned: TunedValues | None,
+    runner: UnitRunner,
+    on_progress: Callable[[str, float], None],
+) -> dict[str, TuningResult | str]:
+    """Tune several controllers, each a unit; see `tune`.
+
+    Returns
+    -------
+    A result for each, or why the controller was left out.
+    """
+    options = (str(storage), budget, earthquakes, seed)
+    units = [Unit(name, _tuned, (name, scenario, tuned, *options)) for name in names]
+    found = runner.run(units, lambda index, share: on_progress(names[index], share))
+    return {
+        name: each if isinstance(each, str) else TuningResult(**each)
+        for name, each in zip(names, found, strict=True)
+    }
+
+
+def _tuned(
+    name: str,
+    scenario: Scenario,
+    tuned: TunedValues | None,
+    storage: str,
+    budget: int,
+    earthquakes: int,
+    seed: int,
+) -> dict[str, Any] | str:
+    def on_trial(done: int, total: int, best: float) -> None:
+        report(done / total)
+
+    try:
+        result = tune(
+            name, scenario, storage, budget=budget, earthquakes=earthquakes, seed=seed, tuned=tuned,
+            on_trial=on_trial,
+        )  # fmt: skip
+    except (ParameterError, ScenarioError, NumericalError) as error:
+        return str(error)
+    return vars(result)
 
 
 def tunable_baseline(name: str, scenario: Scenario) -> Baseline:
@@ -217,15 +276,12 @@ def search(
     on_trial: Callable[[int, int, float], None],
     starts: Sequence[Mapping[str, float]],
 ) -> StudyResult:
-    """Search `tunable` for the least cost in `total` trials, those of an earlier run counted.
+    """Search `tunable` for the least cost in `total` trials, those of other processes counted.
 
     The first trials are `starts`; what the first of them costs is the result's `default_cost`.
     """
-    storage = Path(storage)
-    try:
-        import optuna
-    except ImportError:
-        raise ShakeError("optuna", "missing", install_hint("agents")) from None
+    study, made = open_study(storage, study_name)
+    import optuna
 
     def objective(trial: Any) -> float:
         return cost(
@@ -239,8 +295,17 @@ def search(
         each: optuna.distributions.FloatDistribution(t.low, t.high, log=t.logarithmic)
         for each, t in tunable.items()
     }
-    study = open_study(storage, study_name)
     done = _finished(study)
+    if is_shared(storage):
+        if made:  # by this process, and no other
+            for start in starts[:total]:
+                study.enqueue_trial(dict(start))
+        _share_study(study, objective, total, seed, on_trial)
+        default = _value_at(study, starts[0])
+        default = cost(dict(starts[0])) if default is None else default
+        return StudyResult(
+            dict(study.best_params), float(study.best_value), float(default), _finished(study)
+        )
     # A resumed search draws from a seed of its own, or it would repeat its first trials.
     study.sampler = optuna.samplers.TPESampler(seed=seed + 1000 * done, multivariate=True)
     # The starts are put in when their cost is known, and looked for by their values: a search that was
@@ -261,6 +326,20 @@ def search(
     default = _value_at(study, starts[0])
     assert default is not None  # it is the first trial, and there is one
     return StudyResult(dict(study.best_params), float(study.best_value), float(default), done)
+
+
+def _share_study(
+    study: Any,
+    objective: Callable[[Any], float],
+    total: int,
+    seed: int,
+    on_trial: Callable[[int, int, float], None],
+) -> None:
+    """Work on a study beside other processes until it has `total` trials."""
+    study.sampler = shared_sampler(seed, _finished(study))
+    while may_begin(study, total, lambda: _finished(study)):
+        study.optimize(objective, n_trials=1)
+        on_trial(_finished(study), total, study.best_value)
 
 
 def _value_at(study: Any, start: Mapping[str, float]) -> float | None:

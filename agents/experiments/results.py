@@ -13,6 +13,7 @@ from typing import Any
 from agents.evaluation.bound_store import search_code
 from agents.evaluation.protocol import Entry, evaluate, find_entry
 from agents.evaluation.result_files import PREFIX, read_result, write_result
+from agents.execution.units import UnitRunner
 from agents.experiments.catalogue import EvaluationTask
 from agents.run_directory import POLICY
 from agents.seeds import TEST_SEED
@@ -34,6 +35,7 @@ def evaluate_task(
     results: str | PathLike[str],
     *,
     again: bool = False,
+    runner: UnitRunner | None = None,
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
 ) -> tuple[Path, dict[str, Any], bool]:
     """Return the file of an evaluation task's result, the result, and whether any of it was made now.
@@ -43,7 +45,7 @@ def evaluate_task(
     is run, and with it the reference and the uncontrolled table, whose costs must match the stored ones.
     Bounds are computed anew where the code that searches them is another. No other code's version is
     compared: most of its changes affect no figure. `again` evaluates all rows, of the policies that
-    there are.
+    there are; `runner` runs the parts of the evaluation (None: this process).
 
     Raises
     ------
@@ -68,6 +70,7 @@ def evaluate_task(
         earthquakes=task.earthquakes,
         repeats=task.fidelity,
         known=known,
+        runner=runner,
         on_progress=on_progress,
     )
     result |= {"evaluation_task": task.name, "identity": _identity(result, task)}

@@ -1,23 +1,21 @@
-"""Many trainings, some at a time, each in a process of its own; what is done is not done again."""
+"""Many trainings by the workers of an executor; what is done is not done again."""
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from fnmatch import fnmatch
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
 
+from agents.execution.environment import folder_token
+from agents.execution.executor import Executor
+from agents.execution.worker import Call, Outcome
 from agents.experiments.catalogue import ExperimentConfig
+from agents.experiments.worker import work
 from agents.plain_values import typed
-from agents.progress import Progress
+from agents.progress import Progress, display
 from agents.run_directory import CONFIG, PROGRESS, read_json
 from agents.training.checkpoint import checkpoint_steps, checkpoints
 from agents.training.config import TrainConfig, require_same
@@ -41,6 +39,7 @@ class Task:
     seconds: float = 0.0  # since then
     cost_ratio: float | None = None
     failure: str = ""
+    _log_shown: int = 0  # [byte]
 
     @property
     def name(self) -> str:
@@ -63,14 +62,48 @@ class Task:
             self.state = "begun"
             self.share = checkpoint_steps(saved[-1]) / self.config.steps
 
+    @property
+    def log(self) -> Path:
+        """File of what the run prints."""
+        return self.run.with_name(self.run.name + ".log")
+
+    def call(self) -> Call:
+        """Return what a worker does for the run; it must see the folder."""
+        folder = self.run.parents[2].resolve()  # of the campaign
+        command = f"shake run-experiments --experiments {self.experiment.name}"
+        return Call(
+            self.name,
+            work,
+            (str(self.run), self.config.to_json(), command),
+            log=self.log,
+            folder=(folder, folder_token(folder)),
+            needs_folder=True,
+        )
+
     def watch(self) -> None:
-        """Read the progress of the running process."""
+        """Read what the worker says of the run: its progress, and new lines of its log."""
+        if not self.log.exists():  # no worker has begun it
+            return
+        self.state = "running"
+        with file_errors(self.log), self.log.open("rb") as file:
+            file.seek(self._log_shown)
+            text = file.read().rpartition(b"\n")[0]
+        self._log_shown += len(text) + bool(text)
+        for line in text.decode(errors="replace").splitlines():
+            display.note(f"{self.name}: {line}")
         try:
             progress = typed(Progress, read_json(self.run / PROGRESS, largest=2**20))
         except ValueError:  # there is none yet
             return
         self.share = min(progress.steps / max(progress.total_steps, 1), 1.0)
         self.seconds, self.cost_ratio = progress.seconds, progress.cost_ratio
+
+    def finish(self, outcome: Outcome) -> None:
+        """Take in what came of the run."""
+        if outcome.error is None and finished(self.run):
+            self.state, self.share = "done", 1.0
+        else:
+            self.state, self.failure = "failed", str(outcome.error or "left no complete result")
 
     @property
     def pace(self) -> float | None:
@@ -88,72 +121,49 @@ class Campaign:
     ----------
     tasks
         From :func:`plan`.
-    processes
-        Runs at a time.
+    workers
+        Runs at a time, for the time left.
     """
 
     tasks: list[Task]
-    processes: int = 2
-    _running: dict[int, subprocess.Popen[bytes]] = field(default_factory=dict)
+    workers: int = 2
 
-    def run(self, on_update: Callable[[Campaign], None] = lambda campaign: None) -> None:
+    def run(
+        self, executor: Executor, on_update: Callable[[Campaign], None] = lambda campaign: None
+    ) -> None:
         """Run what is not done. A run that fails is noted and stops no other.
 
-        Interrupted, the processes end with it and the runs go on from their checkpoints another time.
+        Interrupted, the workers end and the runs go on from their checkpoints another time, by any
+        executor.
+
+        Raises
+        ------
+        FileError
+            If the folder of a run cannot be written.
         """
-        queue = [i for i, task in enumerate(self.tasks) if task.state in ("begun", "waiting")]
-        with self._ended():
-            while queue or self._running:
-                while queue and len(self._running) < self.processes:
-                    self._start(queue.pop(0))
-                time.sleep(0.25)
-                for i, process in list(self._running.items()):
-                    self.tasks[i].watch()
-                    if process.poll() is not None:
-                        self._finish(i, self._running.pop(i).returncode)
-                on_update(self)
-
-    @contextmanager
-    def _ended(self) -> Iterator[None]:
-        try:
-            yield
-        finally:
-            for process in self._running.values():
-                process.terminate()
-            for process in self._running.values():
-                process.wait()
-            self._running.clear()
-
-    def _start(self, number: int) -> None:
-        task = self.tasks[number]
-        task.state, task.first_share = "running", task.share
-        with file_errors(task.run):
-            task.run.parent.mkdir(parents=True, exist_ok=True)
-            (task.run / PROGRESS).unlink(missing_ok=True)  # that of the process before
-        command = f"shake run-experiments --experiments {task.experiment.name}"
-        one = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
-        paths = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
-        with file_errors(_log(task)), _log(task).open("wb") as log:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "agents.experiments.worker", str(task.run), command],
-                stdin=subprocess.PIPE,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                env={**os.environ, **one, "PYTHONPATH": os.pathsep.join(p for p in paths if p)},
-            )
-        assert process.stdin is not None
-        process.stdin.write(json.dumps(task.config.to_json()).encode())
-        process.stdin.close()
-        self._running[number] = process
-
-    def _finish(self, number: int, code: int) -> None:
-        task = self.tasks[number]
-        if code == 0 and finished(task.run):
-            task.state, task.share = "done", 1.0
+        tasks = [task for task in self.tasks if task.state in ("begun", "waiting")]
+        if not tasks:
             return
-        lines = _log(task).read_text(encoding="utf-8", errors="replace").strip().splitlines()
-        task.state = "failed"
-        task.failure = lines[-1] if lines else f"ended with code {code}"
+        self.workers = executor.workers
+        out: set[int] = set()
+
+        def on_submit(index: int) -> None:
+            tasks[index].first_share = tasks[index].share
+            out.add(index)
+            for file in (tasks[index].run / PROGRESS, tasks[index].log):  # those of the process before
+                with file_errors(file):
+                    file.unlink(missing_ok=True)
+
+        def on_tick() -> None:
+            for index in out:
+                tasks[index].watch()
+            on_update(self)
+
+        calls = [task.call() for task in tasks]
+        for index, outcome in executor.results(calls, on_submit=on_submit, on_tick=on_tick):
+            tasks[index].watch()
+            tasks[index].finish(outcome)
+            out.discard(index)
 
     def seconds_left(self) -> float:
         """Return the time left [s], from what is expected and how the runs so far kept to it."""
@@ -164,7 +174,7 @@ class Campaign:
             for task in self.tasks
             if task.state in ("begun", "waiting", "running")
         ]
-        return max([sum(left) / self.processes, *left], default=0.0)
+        return max([sum(left) / self.workers, *left], default=0.0)
 
     def counts(self) -> dict[str, int]:
         """Return the number of runs in each state that there is."""
@@ -174,10 +184,6 @@ class Campaign:
     def failures(self) -> dict[str, str]:
         """Return why runs failed, or are not this campaign's, by their names."""
         return {t.name: t.failure for t in self.tasks if t.state in ("failed", "foreign")}
-
-
-def _log(task: Task) -> Path:
-    return task.run.with_name(task.run.name + ".log")
 
 
 def plan(

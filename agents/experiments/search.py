@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import json
 import math
+import socket
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -129,8 +131,12 @@ def open_study(search: Search, storage: str | PathLike[str]) -> Any:
     ShakeError
         If Optuna is not installed.
     """
-    storage = Path(storage)
-    study = study_storage.open_study(storage, search.name)
+    return _opened(search, storage)[0]
+
+
+def _opened(search: Search, storage: str | PathLike[str]) -> tuple[Any, bool]:
+    """Return the study, and whether it was made now."""
+    study, made = study_storage.open_study(storage, search.name)
     import optuna
 
     evaluations = trial_config(search.experiment, {}, search.share).evaluations
@@ -140,9 +146,9 @@ def open_study(search: Search, storage: str | PathLike[str]) -> Any:
     identity = search.identity()
     if not search.same(study.user_attrs.get("identity", identity)):
         remedy = f"holds {search.name} of another experiment or space: give another --storage or --seed"
-        raise ParameterError("storage", str(storage), remedy)
+        raise ParameterError("storage", study_storage.shown(storage), remedy)
     study.set_user_attr("identity", identity)
-    return study
+    return study, made
 
 
 def _with_states(study: Any, *states: str) -> list[Any]:
@@ -153,17 +159,20 @@ def _done(study: Any) -> list[Any]:
     return _with_states(study, "COMPLETE", "PRUNED")
 
 
-def _queue(study: Any, search: Search) -> None:
-    """Queue the experiment itself, if it is new, and the trial that was cut, with its run."""
+def _queue(study: Any, search: Search, new: bool, worker: str) -> None:
+    """Queue the experiment itself, if it is new, and the trial that was cut, with its run.
+
+    A worker's own trials alone were cut: it holds its folder, and others may work on the study.
+    """
     import optuna
 
-    trials = study.get_trials(deepcopy=False)
-    lives = [trial for trial in trials if trial.state.name != "FAIL"]
-    if not lives:
+    if new:
         own = own_values(search.experiment)
         start = {knob.name: own[knob.name] for knob in space(search.experiment)}
         study.enqueue_trial(start, user_attrs={"default": True})
     for cut in _with_states(study, "RUNNING"):
+        if cut.user_attrs.get("worker", "") != worker:
+            continue
         # Given up under its number, which counts for nothing, and queued under the next.
         study.tell(cut.number, state=optuna.trial.TrialState.FAIL)
         study.enqueue_trial(cut.params, user_attrs={"run": str(cut.number), **cut.user_attrs})
@@ -185,7 +194,8 @@ def search_training(
     search
         What is searched.
     storage
-        SQLite file that keeps the trace of every search.
+        SQLite file that keeps the trace of every search, or the URL of a storage that several processes
+        work on at a time, see `study_storage`.
     folder
         Runs lie in ``folder / SCENARIO / ALGORITHM / SEARCH / TRIAL``.
     trials
@@ -200,9 +210,9 @@ def search_training(
     ParameterError
         If a number is outside its range, or the storage holds this search with another experiment.
     RunDirectoryError
-        If another process runs this search, or a trial's directory holds another run.
+        If another process runs this search in a file, or a trial's directory holds another run.
     """
-    storage, folder = Path(storage), Path(folder)
+    folder = Path(folder)
     if trials < 0:
         raise ParameterError("trials", trials, "must be at least 0")
     if minutes is not None and not minutes > 0.0:
@@ -214,27 +224,41 @@ def search_training(
 
 def _searched(
     search: Search,
-    storage: Path,
+    storage: str | PathLike[str],
     home: Path,
     trials: int,
     until: float,
     on_update: Callable[[SearchProgress], None],
 ) -> Trace:
-    study = open_study(search, storage)
+    study, made = _opened(search, storage)
     if len(_done(study)) >= trials:
         return trace_of(search, study)
-    with locked(home):
+    shared = study_storage.is_shared(storage)
+    with ExitStack() as held:
+        slot = ""
+        if shared:
+            slot = study_storage.free_slot(home, held)
+        else:
+            held.enter_context(locked(home))
+            made = not _with_states(study, "COMPLETE", "PRUNED", "RUNNING", "WAITING")
+        worker = f"{socket.gethostname()}:{home.resolve()}/{slot}" if shared else ""
         validation = ValidationSet(search.experiment, search.earthquakes)
         study.set_user_attr("reference", validation.reference)
         study.set_user_attr("reference_lost", validation.reference_lost)
-        _queue(study, search)
-        while len(_done(study)) < trials and time.monotonic() < until:
+        _queue(study, search, made, worker)
+
+        def lacks_one() -> bool:
+            if shared:
+                return study_storage.may_begin(study, trials, lambda: len(_done(study)))
+            return len(_done(study)) < trials
+
+        while time.monotonic() < until and lacks_one():
 
             def tell(number: int, progress: Progress | None) -> None:
                 on_update(_standing(study, trials, until, number, progress))
 
             try:
-                _trial(study, search, validation, home, until, tell)
+                _trial(study, search, validation, home, until, tell, slot, worker)
             except OutOfTimeError:
                 break
     return trace_of(search, study)
@@ -247,12 +271,35 @@ def _trial(
     home: Path,
     until: float,
     tell: Callable[[int, Progress | None], None],
+    slot: str,
+    worker: str,
 ) -> None:
     import optuna
 
-    seed = search.seed + 1000 * len(_done(study))
-    study.sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True)
+    if worker:
+        study.sampler = study_storage.shared_sampler(search.seed, len(_done(study)))
+    else:
+        seed = search.seed + 1000 * len(_done(study))
+        study.sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True)
     trial = study.ask()
+    if worker:
+        trial.set_user_attr("worker", worker)
+        trial.set_user_attr("run", trial.user_attrs.get("run", f"{slot}/{trial.number}"))
+    with study_storage.sign_of_life(study, trial):
+        _judged(study, trial, search, validation, home, until, tell)
+
+
+def _judged(
+    study: Any,
+    trial: Any,
+    search: Search,
+    validation: ValidationSet,
+    home: Path,
+    until: float,
+    tell: Callable[[int, Progress | None], None],
+) -> None:
+    import optuna
+
     values = {knob.name: knob.suggest(trial) for knob in space(search.experiment)}
     config = trial_config(search.experiment, values, search.share)
     run = home / trial.user_attrs.get("run", str(trial.number))

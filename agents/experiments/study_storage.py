@@ -1,26 +1,50 @@
-"""SQLite files that hold the trace of searches; Optuna reads and writes them."""
+"""Storages that hold the trace of searches; Optuna reads and writes them.
+
+A path is an SQLite file, for one process at a time. A URL is a storage that several processes and
+machines work on: ``postgresql+pg8000://...`` and whatever else SQLAlchemy reaches, ``grpc://HOST:PORT``
+(a proxy of `optuna.storages.run_grpc_proxy_server`), and ``journal:FILE`` on a shared file system.
+"""
 
 from __future__ import annotations
 
+import os
+import socket
 import sqlite3
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+import time
+import warnings
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from shake_env.errors import ParameterError, ShakeError, install_hint
+from agents.run_directory import InUseError, locked
+from shake_env.errors import ParameterError, RunDirectoryError, ShakeError, install_hint
 from shake_env.files import file_errors, no_file
 
+HEARTBEAT = 30  # [s] between two signs of life of a trial in a shared database
+GRACE = 120  # [s] without one, after which another process tries the trial again
+ATTEMPTS = 4  # to open a database in which other processes make the tables
+SLOTS = 1000  # processes that work on a search from one folder
+POLL = 0.5  # [s] between two looks at a study whose last trials other processes have
+RETRIES = 3  # of a trial whose processes were lost
+_JOURNAL, _PROXY = "journal:", "grpc://"
 _OF_OPTUNA = {"version_info", "studies", "trials"}  # tables of every file of Optuna's
 
 
-def open_study(storage: Path, name: str) -> Any:
-    """Return the Optuna study of a name in a file; both are made if need be.
+def is_shared(storage: str | PathLike[str]) -> bool:
+    """Return whether a storage is one that several processes work on."""
+    return "://" in str(storage) or str(storage).startswith(_JOURNAL)
+
+
+def open_study(storage: str | PathLike[str], name: str) -> tuple[Any, bool]:
+    """Return the Optuna study of a name, and whether it was made now.
 
     Raises
     ------
     ParameterError
-        If the file is another program's, or cannot be used.
+        If the storage is another program's, or cannot be used.
     ShakeError
         If Optuna is not installed.
     """
@@ -29,14 +53,61 @@ def open_study(storage: Path, name: str) -> Any:
     except ImportError:
         raise ShakeError("optuna", "missing", install_hint("agents")) from None
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    with file_errors(storage):
-        storage.parent.mkdir(parents=True, exist_ok=True)
     with storage_errors(storage):
-        _require_own(storage)
-        # A URL would give ?, # and % of a path another meaning.
-        connect = {"creator": lambda: sqlite3.connect(storage, timeout=60.0, check_same_thread=False)}
-        rdb = optuna.storages.RDBStorage("sqlite:///by-creator", engine_kwargs=connect)
-        return optuna.create_study(study_name=name, storage=rdb, load_if_exists=True)
+        backend = _shared(str(storage)) if is_shared(storage) else _own_file(Path(storage))
+        try:
+            return optuna.create_study(study_name=name, storage=backend), True
+        except optuna.exceptions.DuplicatedStudyError:
+            return optuna.load_study(study_name=name, storage=backend), False
+
+
+def _own_file(file: Path) -> Any:
+    import optuna
+
+    with file_errors(file):
+        file.parent.mkdir(parents=True, exist_ok=True)
+    _require_own(file)
+    # A URL would give ?, # and % of a path another meaning.
+    connect = {"creator": lambda: sqlite3.connect(file, timeout=60.0, check_same_thread=False)}
+    return optuna.storages.RDBStorage("sqlite:///by-creator", engine_kwargs=connect)
+
+
+def _shared(url: str) -> Any:
+    import optuna
+    import sqlalchemy.exc
+
+    storages = optuna.storages
+    if url.startswith(_JOURNAL):
+        from optuna.storages.journal import JournalFileBackend
+
+        file = Path(url.removeprefix(_JOURNAL).removeprefix("//"))
+        with file_errors(file):
+            file.parent.mkdir(parents=True, exist_ok=True)
+        return storages.JournalStorage(JournalFileBackend(str(file)))
+    if url.startswith(_PROXY):
+        host, _, port = url.removeprefix(_PROXY).rstrip("/").rpartition(":")
+        if not host or not port.isdecimal():
+            raise ParameterError("storage", url, "must be grpc://HOST:PORT")
+        proxy = storages.GrpcStorageProxy(host=host, port=int(port))
+        try:
+            proxy.wait_server_ready(timeout=30.0)
+        except Exception as error:  # of grpc, which is imported on use
+            raise ParameterError("storage", url, "no proxy answers there: start it first") from error
+        return proxy
+    if hasattr(storages, "RetryHeartbeatStaleTrialCallback"):  # its name since Optuna 4.9
+        name, callback = "heartbeat_stale_trial_callback", storages.RetryHeartbeatStaleTrialCallback
+    else:
+        name, callback = "failed_trial_callback", storages.RetryFailedTrialCallback
+    retry: dict[str, Any] = {name: callback(RETRIES)}
+    for attempt in range(1, ATTEMPTS + 1):
+        try:
+            return storages.RDBStorage(url, heartbeat_interval=HEARTBEAT, grace_period=GRACE, **retry)
+        except (sqlalchemy.exc.IntegrityError, sqlalchemy.exc.ProgrammingError):
+            # Another process makes the tables at the same time, and a server refuses the second.
+            if attempt == ATTEMPTS:
+                raise
+            time.sleep(attempt)
+    raise AssertionError
 
 
 def _require_own(storage: Path) -> None:
@@ -51,16 +122,101 @@ def _require_own(storage: Path) -> None:
         raise ParameterError("storage", str(storage), "is another program's SQLite file: name another")
 
 
+def sign_of_life(study: Any, trial: Any) -> AbstractContextManager[Any]:
+    """Return what reports that a trial runs, where the storage has heartbeats."""
+    from optuna.storages._heartbeat import get_heartbeat_thread
+
+    thread = get_heartbeat_thread(trial._trial_id, study._storage)
+    return cast("AbstractContextManager[Any]", thread)
+
+
+def free_slot(home: Path, held: ExitStack) -> str:
+    """Hold the first folder of a search that no other process has, and return its name.
+
+    Raises
+    ------
+    RunDirectoryError
+        If there is none.
+    """
+    for number in range(SLOTS):
+        try:
+            held.enter_context(locked(home / f"worker-{number}"))
+        except InUseError:
+            continue
+        return f"worker-{number}"
+    raise RunDirectoryError("folder", str(home), f"{SLOTS} processes have it: name another")
+
+
+def may_begin(study: Any, total: int, finished: Callable[[], int]) -> bool:
+    """Wait until a shared study lacks a trial that no process has; return whether there is one.
+
+    Parameters
+    ----------
+    study
+        Other processes work on it, too.
+    total
+        Trials that are wanted. Processes that find the last one lacking at once each make one.
+    finished
+        The number of those that are done.
+    """
+    import optuna
+
+    while (done := finished()) < total:
+        optuna.storages.fail_stale_trials(study)
+        states = [trial.state.name for trial in study.get_trials(deepcopy=False)]
+        if "WAITING" in states or done + states.count("RUNNING") < total:
+            return True
+        time.sleep(POLL)
+    return False
+
+
+def shared_sampler(seed: int, finished: int) -> Any:
+    """Return a sampler of a shared study, seeded by the process and the number of trials done."""
+    import optuna
+
+    own = zlib.crc32(f"{socket.gethostname()} {os.getpid()}".encode()) % 997
+    return optuna.samplers.TPESampler(
+        seed=seed + 1000 * finished + own, multivariate=True, constant_liar=True
+    )
+
+
 @contextmanager
-def storage_errors(storage: Path) -> Iterator[None]:
-    """Turn errors of SQLite, as it is or wrapped by SQLAlchemy and Optuna, into a `ParameterError`."""
+def storage_errors(storage: str | PathLike[str]) -> Iterator[None]:
+    """Turn errors of a database, as they are or wrapped by Optuna, into a `ParameterError`.
+
+    What Optuna calls experimental (heartbeats, journals, the proxy) is used without a warning.
+    """
+    import optuna
+    import sqlalchemy.exc
+
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+            yield
     except Exception as error:
         cause: BaseException | None = error
-        while cause is not None and not isinstance(cause, sqlite3.Error):
+        kinds = (sqlite3.Error, sqlalchemy.exc.SQLAlchemyError, ModuleNotFoundError)
+        while cause is not None and not isinstance(cause, kinds):
             cause = cause.__cause__
-        if cause is None:
+        if cause is None or (isinstance(cause, ModuleNotFoundError) and not is_shared(storage)):
             raise
-        remedy = f"cannot be used ({cause}): free some space, or name another file"
-        raise ParameterError("storage", str(storage), remedy) from error
+        while isinstance(cause.__cause__, sqlite3.Error):  # says it without SQLAlchemy's words
+            cause = cause.__cause__
+        reason = (str(cause) or type(cause).__name__).strip().splitlines()[0]
+        remedy = f"cannot be used ({reason}): free some space, or name another file"
+        if is_shared(storage):
+            remedy = f"cannot be used ({reason}): is the server reachable, and its driver installed?"
+        raise ParameterError("storage", shown(storage), remedy) from error
+
+
+def shown(storage: str | PathLike[str]) -> str:
+    """Return a storage without its password."""
+    import sqlalchemy.engine
+    import sqlalchemy.exc
+
+    try:
+        if "://" not in str(storage):
+            return str(storage)
+        return sqlalchemy.engine.make_url(str(storage)).render_as_string(hide_password=True)
+    except sqlalchemy.exc.ArgumentError:
+        return "a URL that is none"

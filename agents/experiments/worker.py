@@ -1,47 +1,43 @@
-"""One run of a campaign in a process of its own: a configuration on standard input, then training.
-
-``python -m agents.experiments.worker RUN COMMAND``. A run that was begun is gone on with.
-"""
+"""One run of a campaign, as a worker carries it out."""
 
 from __future__ import annotations
 
-import os
-import sys
+import time
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from agents.progress import Progress
-from agents.run_directory import PROGRESS, parse_json
+from agents.run_directory import PROGRESS, InUseError
 from agents.training.config import config_of
 from agents.training.run import train_or_resume
-from shake_env.errors import ShakeError
 from shake_env.files import write_json
 
-PATIENCE = 120.0  # [s] in which a worker whose campaign was killed comes to its next report and ends
+PATIENCE = 120.0  # [s] between two lines that say who holds the run
+LONGEST = 24 * 3600.0  # [s] that a run is waited for which a worker of an earlier campaign goes on with
 
 
-def work(run: str | PathLike[str], values: str, command: str) -> None:
-    """Train or go on, and keep the run's progress file up to date.
+def work(run: str | PathLike[str], values: dict[str, Any], command: str) -> None:
+    """Train a configuration, or go on with its run, and keep the run's progress file up to date.
 
     Raises
     ------
     RunDirectoryError
-        If the directory holds a run of another configuration, or another process goes on with it.
+        If the directory holds a run of another configuration.
+    InUseError
+        If another process still goes on with it after a day.
     """
-    run = Path(run)
-    config, parent = config_of(parse_json(values)), os.getppid()
+    run, config = Path(run), config_of(values)
 
     def report(progress: Progress) -> None:
-        if os.getppid() != parent:
-            raise KeyboardInterrupt  # the campaign is gone; the checkpoint stays
         write_json(run / PROGRESS, asdict(progress))
 
-    train_or_resume(config, run, report=report, command=command, wait=PATIENCE)
-
-
-if __name__ == "__main__":
-    try:
-        work(Path(sys.argv[1]), sys.stdin.read(), sys.argv[2])
-    except ShakeError as error:
-        sys.exit(str(error))  # the last line of the log, which the campaign shows
+    end = time.monotonic() + LONGEST
+    while True:
+        try:
+            return train_or_resume(config, run, report=report, command=command, wait=PATIENCE)
+        except InUseError as error:
+            if time.monotonic() > end:
+                raise
+            print(error, flush=True)

@@ -8,6 +8,7 @@ from typing import Any
 from agents.cli.command_options import FolderOptions
 from agents.cli.commands import COMMANDS
 from agents.evaluation.results import COLUMNS
+from agents.execution.options import ExecutionOptions
 from baselines.catalogue import BASELINES
 from baselines.information import MEANINGS
 from baselines.registry import reference_name, tuned_parameters
@@ -238,6 +239,8 @@ assert frame.attrs["units"]["peak_current"] == "A"
 
 def command_line() -> str:
     """Return the page of the commands: their purpose and what to try, from their docstrings."""
+    names = (field.name.replace("_", "-") for field in fields(ExecutionOptions))
+    execution = ", ".join(f"`--{name}`" for name in names)
     parts = [
         "# Command line\n", NOTE,
         "`shake COMMAND --help` lists every option with its unit. `--json` prints one object on "
@@ -247,6 +250,8 @@ def command_line() -> str:
         "Options that change a scenario are common to most commands: `shake COMMAND --help-scenario` "
         "lists them. Wherever a scenario's name is taken, the path of a "
         "[scenario file](../howto/files.md) is taken as well; Python's `make_scenario` takes it, too.\n",
+        "Options of where work runs are common to the commands that can share it among processes and "
+        f"[machines](../howto/cluster.md): {execution}.\n",
         "Without `--output` a folder of results is the next free one of `out/NAME`, `out/NAME-2`, and "
         "so on. A folder that `--output` names must be new or empty, unless `--force` is given. A "
         "file that an option names is replaced.\n",
@@ -264,8 +269,10 @@ def command_line() -> str:
         parts += [f"## shake {name}\n", "\n".join(lines).strip() + "\n"]
         examples = [line.strip() for line in tries.strip().splitlines()]
         parts.append("```sh\n" + "\n".join(examples) + "\n```\n")
-        common = {"scenario", *(f.name for f in fields(FolderOptions))}
+        common = {"scenario", "execution", *(f.name for f in fields(FolderOptions))}
         own = [f.name for f in fields(command) if f.name not in common]
         options = ", ".join(f"`{option.replace('_', '-')}`" for option in own)
-        parts.append(f"Options of its own: {options or 'none'}.\n")
+        shared = "execution" in {f.name for f in fields(command)}
+        where = "; and those of where work runs" if shared else ""
+        parts.append(f"Options of its own: {options or 'none'}{where}.\n")
     return "\n".join(parts)

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from agents.cli.command_options import FolderOptions
+from agents.execution.options import ExecutionOptions
 from agents.motions.channels import MotionOptions, motion_earthquakes
 from agents.progress import progress_by_name
 from agents.reporting.terminal import print_table
@@ -52,8 +53,9 @@ class ForecastCommand(FolderOptions):
     """Of the intervals."""
     keep: float = 0.95
     """Probability with which every limit must be kept."""
-    processes: int = 2
-    """Processes that share the work."""
+    execution: Annotated[ExecutionOptions, tyro.conf.arg(name="")] = field(
+        default_factory=lambda: ExecutionOptions(processes=2)
+    )
     seed: int = 7_000_000
     """Seed of the first sample."""
 
@@ -82,7 +84,7 @@ class ForecastCommand(FolderOptions):
                 )
             scenario = replace(scenario, motion=quakes[0].motion)
         folder = self.results_folder("forecast")
-        with progress_by_name() as on_progress:
+        with self.execution.open_runner() as runner, progress_by_name() as on_progress:
             found = forecast(
                 scenario,
                 self.controllers,
@@ -90,7 +92,7 @@ class ForecastCommand(FolderOptions):
                 samples=self.samples,
                 probability=self.probability,
                 seed=self.seed,
-                processes=self.processes,
+                runner=runner,
                 on_progress=on_progress,
             )
         chosen = advice(found, self.keep)

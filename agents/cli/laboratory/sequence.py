@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 from rich.markup import escape
 
 from agents.cli.command_options import CommandOptions, Flag
+from agents.execution.options import ExecutionOptions
 from agents.progress import progress_by_name
 from agents.reporting.terminal import print_table
 from agents.scenario_options import ScenarioOptions
@@ -68,6 +69,9 @@ class SequenceCommand(CommandOptions):
     """rehearse: JSON file for the figures."""
     seed: int = 0
     """plan, rehearse: seed of everything drawn."""
+    execution: Annotated[ExecutionOptions, tyro.conf.arg(name="")] = field(
+        default_factory=ExecutionOptions
+    )
 
     def run(self, console: Console) -> dict[str, Any]:
         """Do the action and print what came of it."""
@@ -100,8 +104,10 @@ class SequenceCommand(CommandOptions):
         from agents.laboratory.sequence.steps import next_shake
 
         sequence = read_sequence(self.folder)
-        with progress_by_name() as on_progress:
-            sequence, found = next_shake(sequence, override=self.override, on_progress=on_progress)
+        with self.execution.open_runner() as runner, progress_by_name() as on_progress:
+            sequence, found = next_shake(
+                sequence, override=self.override, runner=runner, on_progress=on_progress
+            )
         print_table(console, headings(), [cells(each) for each in found], names=2)
         where = self.folder / f"shake_{sequence.number + 1}"
         number, controller = sequence.number + 1, sequence.next.controller
@@ -168,7 +174,7 @@ class SequenceCommand(CommandOptions):
 
         if self.truths < 1:
             raise ParameterError("truths", self.truths, "must be at least 1")
-        with progress_by_name() as on_progress:
+        with self.execution.open_runner() as runner, progress_by_name() as on_progress:
             found = rehearse(
                 ScenarioOptions(self.scenario).build(),
                 truths=self.truths,
@@ -178,6 +184,7 @@ class SequenceCommand(CommandOptions):
                 samples=self.samples,
                 wider=not self.well_specified,
                 discrepancy=self.discrepancy,
+                runner=runner,
                 on_progress=on_progress,
             )
         result = summary(found)

@@ -7,15 +7,16 @@ which goes round the loop), and what the model lacks (`with_model_error`).
 from __future__ import annotations
 
 import math
-import multiprocessing
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from agents.execution.units import Unit, UnitRunner, report
 from agents.laboratory.forecasting.coupling import Coupling, coupling
 from agents.laboratory.forecasting.quantities import UNITS, OutcomeRecorder, Outcomes, beyond
+from agents.policies.own_controller import is_own_controller, own_source
 from agents.policies.registry import find_controller, get_controller
 from shake_env.errors import ParameterError, ScenarioError
 from shake_env.model.parameters import FloatArray
@@ -90,14 +91,8 @@ def design_of(scenario: Scenario) -> Scenario:
     return scenario
 
 
-def run_batch(
-    scenario: Scenario,
-    name: str,
-    amplitude: float,
-    seeds: Sequence[int],
-    on_step: Callable[[float], None] = lambda share: None,
-) -> Outcomes:
-    """Return the outcomes of one controller on samples of a scenario's uncertainty.
+def run_batch(scenario: Scenario, name: str, amplitude: float, seeds: Sequence[int]) -> dict[str, Any]:
+    """Return the outcomes of one controller on samples of a scenario's uncertainty, by their fields.
 
     A method that repeats its tests does so on each sample. `amplitude` is a factor on the scenario's
     own motion.
@@ -110,8 +105,8 @@ def run_batch(
     else:  # the laboratory designs it on the middle of the samples, as one plant
         controller = get_controller(name, design_of(scenario))
     recorder = OutcomeRecorder(scenario, len(quakes))
-    rollout(controller, scenario, quakes, on_step=on_step, log=recorder)
-    return recorder.outcomes()
+    rollout(controller, scenario, quakes, on_step=report, log=recorder)
+    return vars(recorder.outcomes())
 
 
 def forecast(
@@ -122,7 +117,7 @@ def forecast(
     samples: int = 500,
     probability: float = 0.9,
     seed: int = FIRST_SEED,
-    processes: int = 2,
+    runner: UnitRunner | None = None,
     on_progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> list[Forecast]:
     """Return the forecast of every controller at every amplitude.
@@ -141,10 +136,10 @@ def forecast(
         Of the intervals.
     seed
         Of the first sample.
-    processes
-        That share the work; 1 runs it here.
+    runner
+        Runs the batches; None: this process.
     on_progress
-        Told what is done, and the share of all work.
+        Told a controller, and its share of the work that is done.
 
     Raises
     ------
@@ -162,21 +157,24 @@ def forecast(
     jobs = [
         (name, float(a), part.tolist()) for name in controllers for a in amplitudes for part in seeds
     ]
-    done: dict[int, Outcomes] = {}
-    if processes == 1 or len(jobs) == 1:
-        for number, (name, amplitude, part) in enumerate(jobs):
+    units = [
+        Unit(
+            f"{job[0]} at {job[1]:g}",
+            run_batch,
+            (scenario, *job),
+            (scenario, *job, own_source(job[0]) if is_own_controller(job[0]) else None),
+        )
+        for job in jobs
+    ]
+    shares = dict.fromkeys(range(len(units)), 0.0)
 
-            def told(share: float, number: int = number, name: str = name) -> None:
-                on_progress(name, (number + share) / len(jobs))
+    def told(index: int, share: float) -> None:
+        shares[index] = share
+        name = jobs[index][0]
+        own = [shares[i] for i, job in enumerate(jobs) if job[0] == name]
+        on_progress(name, sum(own) / len(own))
 
-            done[number] = run_batch(scenario, name, amplitude, part, told)
-    else:
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(processes, mp_context=context) as pool:
-            futures = {pool.submit(run_batch, scenario, *job): i for i, job in enumerate(jobs)}
-            for future in as_completed(futures):
-                done[futures[future]] = future.result()
-                on_progress("forecast", len(done) / len(jobs))
+    done = [Outcomes(**fields) for fields in (runner or UnitRunner()).run(units, told)]
     result = []
     for number in range(0, len(jobs), count):
         name, amplitude, _ = jobs[number]

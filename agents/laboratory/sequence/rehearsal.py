@@ -12,12 +12,15 @@ from typing import Any
 import numpy as np
 
 from agents.evaluation.perturbations import observation_rescaling
+from agents.execution.units import Unit, UnitRunner, report
 from agents.laboratory.forecasting.quantities import OutcomeRecorder, Outcomes
 from agents.laboratory.identification.parameters import default_prior, plants
 from agents.laboratory.logs.recorder import LogRecorder
 from agents.laboratory.logs.test_log import TestLog
 from agents.laboratory.sequence.state import Sequence
 from agents.laboratory.sequence.steps import close_shake, designed_on, next_shake, plan
+from agents.plain_values import typed
+from agents.policies.own_controller import is_own_controller, own_source
 from agents.policies.registry import get_controller
 from baselines.batch_controllers import Rescaled
 from shake_env.controller import Controller
@@ -108,6 +111,7 @@ def rehearse(
     samples: int = 100,
     wider: bool = True,
     discrepancy: bool = True,
+    runner: UnitRunner | None = None,
     on_progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> list[Rehearsal]:
     """Run the whole loop on hidden truths; every shake under the supervisor.
@@ -124,32 +128,48 @@ def rehearse(
         Whether truths lie outside of the model; False: drawn from the prior.
     discrepancy
         Whether the update knows that its model lacks something.
+    runner
+        Runs the truths, each a unit; None: this process.
     on_progress
         Told the share of all shakes done.
     """
-    found = []
-    for number in range(truths):
-        stream = np.random.default_rng([seed, number])
-        truth = hidden_truth(scenario, stream, wider=wider)
+    own = [own_source(name) if is_own_controller(name) else None for name in controllers]
+    options = (tuple(amplitudes), tuple(controllers), samples, seed, discrepancy, wider)
+    units = [
+        Unit(f"truth {number + 1}", _one, (scenario, number, options), (scenario, number, options, own))
+        for number in range(truths)
+    ]
+    shares = [0.0] * truths
 
-        def told(what: str, share: float, number: int = number) -> None:
-            on_progress("rehearsal", (number + share) / truths)
+    def told(index: int, share: float) -> None:
+        shares[index] = share
+        on_progress("rehearsal", sum(shares) / truths)
 
-        with tempfile.TemporaryDirectory() as folder:
-            options = (tuple(amplitudes), tuple(controllers), samples, seed, discrepancy)
-            found.append(_one(scenario, truth, number, Path(folder), options, told))
-    return found
+    return [typed(Rehearsal, each) for each in (runner or UnitRunner()).run(units, told)]
 
 
 def _one(
     scenario: Scenario,
-    truth: Scenario,
+    number: int,
+    options: tuple[tuple[float, ...], tuple[str, ...], int, int, bool, bool],
+) -> dict[str, Any]:
+    """Return the rehearsal of one truth by its fields."""
+    with tempfile.TemporaryDirectory() as folder:
+        return asdict(_rehearsed(scenario, number, Path(folder), *options))
+
+
+def _rehearsed(
+    scenario: Scenario,
     number: int,
     folder: Path,
-    options: tuple[tuple[float, ...], tuple[str, ...], int, int, bool],
-    told: Callable[[str, float], None],
+    amplitudes: Items[float],
+    controllers: Items[str],
+    samples: int,
+    seed: int,
+    discrepancy: bool,
+    wider: bool,
 ) -> Rehearsal:
-    amplitudes, controllers, samples, seed, discrepancy = options
+    truth = hidden_truth(scenario, np.random.default_rng([seed, number]), wider=wider)
     sequence = plan(
         folder / "sequence", scenario, amplitudes=amplitudes, controllers=controllers, samples=samples
     )
@@ -171,7 +191,7 @@ def _one(
             errors.append(float(outcomes.values["base_shear_error"][0]))
             broken += bool(outcomes.broken[0])
             sequence, _ = close_shake(sequence, log, discrepancy=discrepancy)
-            told("shake", (step + 1) / (len(amplitudes) + 1))
+            report((step + 1) / (len(amplitudes) + 1))
     except ShakeError as error:
         failure = str(error)
     full = {
@@ -180,7 +200,6 @@ def _one(
         )
         for which, design in (("informed", _informed(scenario, truth)), ("nominal", scenario))
     }
-    told("truth", 1.0)
     return Rehearsal(
         truth=number,
         values=_values(truth),

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from agents.execution.units import UnitRunner
 from agents.laboratory.forecasting.forecast import Forecast, advice, forecast
 from agents.laboratory.forecasting.page import to_json, write_page
 from agents.laboratory.identification.consistency import require_motion
@@ -100,7 +101,7 @@ def next_shake(
     sequence: Sequence,
     *,
     override: str | None = None,
-    processes: int = 1,
+    runner: UnitRunner | None = None,
     on_progress: Progress = silent,
 ) -> tuple[Sequence, list[Forecast]]:
     """Forecast the next shake on the present belief, choose its controller, and write its scenario.
@@ -111,7 +112,7 @@ def next_shake(
         As `read_sequence` returns it.
     override
         Reason why the shake is made although its forecast calls it unsafe.
-    processes, on_progress
+    runner, on_progress
         See `forecast`.
 
     Raises
@@ -128,7 +129,7 @@ def next_shake(
         samples=sequence.samples,
         probability=sequence.probability,
         seed=7_000_000 + 10_000 * number + sequence.seed,
-        processes=processes,
+        runner=runner,
         on_progress=on_progress,
     )
     chosen = advice(found, sequence.keep)

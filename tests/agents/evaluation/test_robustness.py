@@ -52,6 +52,11 @@ from shake_env.simulation.simulation import Simulation
 SHORT = {"duration": 1.5}
 
 
+def perturbed(controller, scenario, earthquakes, changes):
+    """Figures of one controller under every change."""
+    return evaluate_perturbations({"one": controller}, scenario, earthquakes, changes)["one"]
+
+
 @pytest.mark.parametrize(("mass", "frequency"), [(1.0, 7.0), (0.2, 7.0), (0.8, 5.0)])
 def test_lqr_of_one_specimen_under_another_costs_what_lyapunov_says(mass, frequency):
     """Stationary cost of the mismatched loop, exact, against the mean over simulated earthquakes."""
@@ -61,7 +66,7 @@ def test_lqr_of_one_specimen_under_another_costs_what_lyapunov_says(mass, freque
     gain = sampled_lqr(nominal.discrete, nominal.stage_cost).gain
     expected = stationary_performance(true.discrete, true.stage_cost, gain).cost
     quakes = noise_earthquakes(nominal, 24, 5_000_000)
-    (rows,) = evaluate_perturbations(lqr(nominal), nominal, quakes, [point(nominal, values)])
+    (rows,) = perturbed(lqr(nominal), nominal, quakes, [point(nominal, values)])
     cost = np.array([row.cost for row in rows])
     # Chance: four standard errors. The start from rest, a second of forty, is smaller than these.
     error = cost.std(ddof=1) / np.sqrt(len(cost))
@@ -192,13 +197,13 @@ def test_lost_tests_are_counted():
     """A loop that a delay makes unstable, and a motion larger than the stroke."""
     linear = make_scenario("linear", {"duration": 4.0})
     quakes = noise_earthquakes(linear, 3, 5_000_000)
-    held, gone = evaluate_perturbations(lqr(linear), linear, quakes, [(), (("delay", 7.0),)])
+    held, gone = perturbed(lqr(linear), linear, quakes, [(), (("delay", 7.0),)])
     assert [failed(row) for row in held] == [False] * 3
     assert [failed(row) for row in gone] == [True] * 3
     yielding = make_scenario("yielding")
     quakes = noise_earthquakes(yielding, 2, 5_000_000)
     law = make_baseline("preview-lqr", yielding)
-    (gone,) = evaluate_perturbations(law, yielding, quakes, [(("amplitude", 4.0),)])
+    (gone,) = perturbed(law, yielding, quakes, [(("amplitude", 4.0),)])
     assert [row.broken_limit is not None for row in gone] == [failed(row) for row in gone] == [True] * 2
 
 

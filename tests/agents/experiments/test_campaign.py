@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,12 +13,14 @@ import pytest
 
 from agents.__main__ import main
 from agents.evaluation.protocol import evaluate, find_entry
+from agents.execution.local_executor import LocalExecutor
 from agents.experiments.catalogue import EVALUATION_TASKS, EXPERIMENTS, EvaluationTask, ExperimentConfig
 from agents.experiments.results import evaluate_task
 from agents.experiments.runner import Campaign, plan, plan_rows
 from agents.policies.base_law import base_law
 from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.policy_file import load_policy
+from agents.run_directory import locked
 from agents.scenario_options import ScenarioOptions
 from agents.training.algorithm_options import PPOOptions
 from agents.training.checkpoint import checkpoints
@@ -55,15 +58,16 @@ def campaigned(tmp_path_factory):
         if len(checkpoints(folder / "linear/ppo/0")) == 2:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        Campaign(plan([GOOD], folder), 1).run(cut)
+    with LocalExecutor(1) as executor, pytest.raises(KeyboardInterrupt):
+        Campaign(plan([GOOD], folder)).run(executor, cut)
     assert not (folder / "linear/ppo/0/result.json").exists()
     begun = plan([GOOD, BAD], folder)
     assert [task.state for task in begun] == ["begun", "waiting"]
     assert 0.0 < begun[0].share < 1.0
-    campaign = Campaign(begun, 2)
+    campaign = Campaign(begun)
     seen = []
-    campaign.run(lambda campaign: seen.append(campaign.seconds_left()))
+    with LocalExecutor(2) as executor:
+        campaign.run(executor, lambda campaign: seen.append(campaign.seconds_left()))
     return folder, campaign, seen
 
 
@@ -97,7 +101,7 @@ def test_what_is_done_is_done_and_another_configuration_is_left_alone(campaigned
     tasks = plan([changed], folder)
     assert tasks[0].state == "foreign"
     campaign = Campaign(tasks)
-    campaign.run()
+    campaign.run(LocalExecutor(1))
     assert "move it away" in campaign.failures()["linear/ppo/0"]
     assert plan([GOOD], folder)[0].state == "done"
 
@@ -182,25 +186,35 @@ def test_policies_cannot_take_a_controllers_name(campaigned):
         evaluate(scenario, [row], earthquakes=2)
 
 
-def test_a_worker_whose_campaign_is_gone_ends(tmp_path):
-    values = json.dumps(TrainConfig(**{**vars(SMALL), "total_timesteps": 100_000_000}).to_json())
+def test_a_worker_whose_campaign_was_killed_ends(tmp_path):
+    config = replace(SMALL, total_timesteps=100_000_000)
     code = (
-        "import subprocess, sys\n"
-        "p = subprocess.Popen([sys.executable, '-m', 'agents.experiments.worker', sys.argv[1], 'x'],"
-        " stdin=subprocess.PIPE, start_new_session=True)\n"
-        "p.stdin.write(sys.argv[2].encode()); p.stdin.close()\n"
-        "import pathlib, time\n"
-        "while not (pathlib.Path(sys.argv[1]) / 'progress.json').exists(): time.sleep(0.1)\n"
-        "print(p.pid)\n"
+        "import os, signal, sys\n"
+        "from agents.execution.local_executor import LocalExecutor\n"
+        "from agents.experiments.catalogue import ExperimentConfig\n"
+        "from agents.experiments.runner import Campaign, plan\n"
+        "from agents.run_directory import parse_json\n"
+        "from agents.training.config import config_of\n"
+        "from agents.training.checkpoint import checkpoints\n"
+        "def cut(campaign):\n"
+        "    if checkpoints(campaign.tasks[0].run):\n"
+        "        os.kill(os.getpid(), signal.SIGKILL)\n"
+        "if __name__ == '__main__':\n"
+        "    config = config_of(parse_json(sys.argv[2]))\n"
+        "    one = ExperimentConfig(evaluation_task='linear', config=config, minutes=1.0, seeds=1)\n"
+        "    Campaign(plan([one], sys.argv[1])).run(LocalExecutor(1), cut)\n"
     )
-    told = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "run"), values],
+    script = tmp_path / "campaign.py"
+    script.write_text(code)
+    ended = subprocess.run(
+        [sys.executable, str(script), str(tmp_path / "runs"), json.dumps(config.to_json())],
         capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     # The pipes that it inherited close when it ends: subprocess.run returned, so that it has ended.
-    assert int(told.stdout) > 0
-    assert "KeyboardInterrupt" in told.stderr
-    assert checkpoints(tmp_path / "run")
+    assert ended.returncode == -signal.SIGKILL, ended.stderr
+    run = tmp_path / "runs/linear/ppo/0"
+    with locked(run, wait=10.0):  # which the worker held
+        assert checkpoints(run)
 
 
 # What learns on the linear table, whose best controller needs no distillation.

@@ -35,7 +35,7 @@ def belief(shares=(), seconds=3.0, amplitude=0.22):
 
 @cache
 def forecasts():
-    return forecast(belief(), ("lqg", "tvc"), amplitudes=(0.5, 1.0), samples=40, processes=1)
+    return forecast(belief(), ("lqg", "tvc"), amplitudes=(0.5, 1.0), samples=40)
 
 
 def test_a_forecast_counts_what_a_roll_out_does():
@@ -64,7 +64,7 @@ def test_intervals_hold_a_test_drawn_from_the_belief():
     """Of other seeds: the plants, the motions' noise and the sensors' are drawn anew."""
     one = forecasts()[1]
     assert (one.controller, one.amplitude) == ("lqg", 1.0)
-    other = forecast(belief(), ("lqg",), samples=30, processes=1, seed=99)[0]
+    other = forecast(belief(), ("lqg",), samples=30, seed=99)[0]
     inside = []
     for name in ("base_shear_error", "peak_drift", "peak_displacement", "energy"):
         low, middle, high = one.interval(name)
@@ -99,7 +99,7 @@ def test_what_is_advised_keeps_the_limits():
 def test_a_limit_that_the_belief_reaches_is_forecast():
     scenario = belief()
     limits = replace(scenario.limits, table_displacement=0.02)
-    found = forecast(replace(scenario, limits=limits), ("lqg",), samples=30, processes=1)[0]
+    found = forecast(replace(scenario, limits=limits), ("lqg",), samples=30)[0]
     free = forecasts()[1].outcomes.values["peak_displacement"]
     assert found.limit_probability == pytest.approx(np.mean(free > 0.02), abs=0.2)
     assert found.limit_probability > 0.05
@@ -123,7 +123,7 @@ def test_a_rigid_table_blames_the_specimen():
     scenario = replace(
         belief(), motion=RecordedMotion(record="napa2014_68150_hne", amplitude=0.2, duration=4.0)
     )
-    found = forecast(scenario, ("lqg",), samples=8, processes=1)[0]
+    found = forecast(scenario, ("lqg",), samples=8)[0]
     assert found.coupling.must_model == (found.coupling.error > 0.05)
     assert "specimen" in str(found.coupling)
     middle = prepared(scenario)

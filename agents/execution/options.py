@@ -1,0 +1,107 @@
+"""Where a command's work runs, as options of the command line; nothing else knows of the engines."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from agents.execution.executor import Executor
+from agents.execution.units import UnitRunner
+from agents.run_directory import cache_folder
+from shake_env.errors import ParameterError
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExecutionOptions:
+    """Where work runs.
+
+    Raises
+    ------
+    ParameterError
+        If a number is outside its range, or an option is another executor's.
+    """
+
+    executor: Literal["local", "ray", "submitit"] = "local"
+    """What runs the work: processes of this machine, a Ray cluster, or jobs of Slurm by submitit."""
+    processes: int | None = None
+    """Workers at a time, each of one thread (unset: two for runs, which have processes of their own,
+    otherwise this process alone; of a Ray cluster all cores)."""
+    ray_address: str | None = None
+    """Ray cluster: auto, HOST:6379 or ray://HOST:10001 (unset: one is started on this machine)."""
+    slurm: tuple[str, ...] = ()
+    """Parameters of the jobs as submitit has them, KEY=VALUE: slurm_partition=cpu timeout_min=240."""
+    worker_memory: float = 4.0
+    """Memory of a worker [GiB]: what Ray or Slurm reserves, and the bound of its allocations."""
+    units: Path | None = None
+    """Folder of the parts that are done, until all is: the same command goes on from them, with any
+    executor (unset: `units` in the user's cache, SHAKE_ENV_CACHE or ~/.cache/shake-env)."""
+
+    def __post_init__(self) -> None:
+        if self.processes is not None and self.processes < 1:
+            raise ParameterError("processes", self.processes, "must be at least 1")
+        if not self.worker_memory > 0.0:
+            raise ParameterError("worker-memory", self.worker_memory, "must be above 0")
+        for option, engine in (("ray_address", "ray"), ("slurm", "submitit")):
+            if getattr(self, option) and self.executor != engine:
+                name = option.replace("_", "-")
+                raise ParameterError(name, getattr(self, option), f"goes with --executor {engine}")
+
+    @property
+    def folder(self) -> Path:
+        """Folder of finished units."""
+        return self.units or cache_folder() / "units"
+
+    @contextmanager
+    def open_executor(self, usual: int = 2) -> Iterator[Executor]:
+        """Give the executor, and end it; `usual` is the number of workers where none is given.
+
+        Raises
+        ------
+        ShakeError
+            If the engine is not installed or cannot be reached.
+        """
+        number, memory = self.processes or usual, self.worker_memory
+        executor: Executor
+        if self.executor == "local":
+            from agents.execution.local_executor import LocalExecutor
+
+            executor = LocalExecutor(number, memory)
+        elif self.executor == "ray":
+            from agents.execution.ray_executor import RayExecutor
+
+            executor = RayExecutor(self.processes, self.ray_address, memory)
+        else:
+            from agents.execution.submitit_executor import SubmititExecutor
+
+            own = self.folder / f"submitit-{socket.gethostname()}-{os.getpid()}"
+            executor = SubmititExecutor(number, own, memory, self.slurm)
+            with executor:
+                yield executor
+            shutil.rmtree(own, ignore_errors=True)  # logs and pickles of jobs that all ended well
+            return
+        with executor:
+            yield executor
+
+    @contextmanager
+    def open_runner(self) -> Iterator[UnitRunner]:
+        """Give what runs the units of a command; when the command has ended, their results go.
+
+        Raises
+        ------
+        ShakeError
+            As `open_executor`.
+        """
+        if self.executor == "local" and self.processes in (None, 1):
+            runner = UnitRunner(None, self.folder)
+            yield runner
+        else:
+            with self.open_executor() as executor:
+                runner = UnitRunner(executor, self.folder)
+                yield runner
+        runner.forget()

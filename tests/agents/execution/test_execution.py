@@ -1,0 +1,169 @@
+"""Units of work: the same results by every engine, done once, however workers end."""
+
+import math
+import sys
+from contextlib import contextmanager
+
+import cloudpickle
+import numpy as np
+import pytest
+import unit_calls
+from unit_calls import allocates, dies, divides, noted, refuses, runs, says
+
+from agents.execution import executor as executor_module
+from agents.execution.encoding import decoded, encoded
+from agents.execution.environment import environment, folder_token
+from agents.execution.executor import ATTEMPTS
+from agents.execution.local_executor import LocalExecutor
+from agents.execution.options import ExecutionOptions
+from agents.execution.units import Unit, UnitRunner, plain_identity
+from agents.execution.worker import Call, Conditions, pack, perform
+from shake_env import SCENARIO_NAMES, make_scenario
+from shake_env.errors import FileError, ParameterError
+
+cloudpickle.register_pickle_by_value(unit_calls)  # workers of Ray do not have this folder
+
+
+@contextmanager
+def engine(name, folder, **options):
+    if name != "local":
+        pytest.importorskip(name, reason=f"{name} is not installed: it is an extra")
+    slurm = ("timeout_min=5",) if name == "submitit" else ()
+    chosen = ExecutionOptions(executor=name, processes=2, units=folder, slurm=slurm, **options)
+    with chosen.open_executor() as executor:
+        yield executor
+
+
+ENGINES = [
+    "local",
+    pytest.param("ray", marks=pytest.mark.slow),
+    pytest.param("submitit", marks=pytest.mark.slow),
+]
+
+
+def test_what_is_encoded_comes_back_as_it_was():
+    value = {
+        "number": 0.1 + 0.2,
+        "none": None,
+        "list": [math.inf, True, "text", {"array": np.arange(6.0).reshape(2, 3) / 7.0}],
+        "flags": np.array([True, False]),
+        "single": np.float32(0.1),
+    }
+    again = decoded(encoded(value))
+    assert again["number"] == value["number"] and again["list"][:3] == value["list"][:3]
+    assert again["list"][3]["array"].tobytes() == value["list"][3]["array"].tobytes()
+    assert again["flags"].dtype == bool and again["single"] == float(np.float32(0.1))
+    assert encoded(value) == encoded(value)
+    assert math.isnan(decoded(encoded(math.nan)))
+    with pytest.raises(FileError, match="not complete"):
+        decoded(encoded(value)[:-40])
+    with pytest.raises(TypeError, match="objects"):
+        encoded(np.array([object()]))
+
+
+def test_every_field_of_a_scenario_decides_a_units_name():
+    names = {Unit("x", divides, (make_scenario(name),)).key() for name in SCENARIO_NAMES}
+    assert len(names) == len(SCENARIO_NAMES)
+    one = make_scenario("laboratory")
+    other = make_scenario("laboratory", {"delay": one.delay + 1e-12})
+    assert Unit("x", divides, (one,)).key() != Unit("x", divides, (other,)).key()
+    assert Unit("x", divides, (one,)).key() == Unit("y", divides, (make_scenario("laboratory"),)).key()
+    assert Unit("x", divides, (1,)).key() != Unit("x", says, (1,)).key()
+    assert Unit("x", divides, (np.zeros(2),)).key() != Unit("x", divides, (np.zeros(3),)).key()
+    with pytest.raises(TypeError, match="does not say"):
+        plain_identity(object())
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_workers_fail_and_are_lost_without_harm_to_other_work(name, tmp_path, monkeypatch):
+    lines = []
+    monkeypatch.setattr(executor_module.display, "note", lines.append)
+    folder = str(tmp_path)
+    calls = [
+        Call("good", noted, (folder, "good", 1.5)),
+        Call("dies once", dies, (folder, "once", 1)),
+        Call("dies", dies, (folder, "always", 99)),
+        Call("divides", divides, (0,)),
+        Call("refuses", refuses),
+        Call("says", says, ("a word",)),
+        Call("large", allocates, (3.0,)),
+        *(Call(f"good {i}", noted, (folder, f"good{i}", i)) for i in range(4)),
+    ]
+    with engine(name, tmp_path, worker_memory=2.0) as executor:
+        outcomes = dict(executor.results(calls))
+    assert sorted(outcomes) == list(range(len(calls)))
+    assert decoded(outcomes[0].content) == {"value": 1.5, "threads": "1"}
+    assert decoded(outcomes[1].content) == "once" and runs(folder, "once") == 2
+    assert "lost 3 times" in str(outcomes[2].error) and runs(folder, "always") == ATTEMPTS
+    assert "ZeroDivisionError at unit_calls.py" in str(outcomes[3].error)
+    assert isinstance(outcomes[4].error, ParameterError) and "mass = -1.0" in str(outcomes[4].error)
+    assert "says: a word" in lines
+    if sys.platform == "linux":
+        assert "--worker-memory" in str(outcomes[6].error)
+    assert [decoded(outcomes[i].content)["value"] for i in range(7, 11)] == [0, 1, 2, 3]
+    assert runs(folder, "good") == 1 == runs(folder, "good0")
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_a_unit_that_is_done_is_done_for_every_engine(name, tmp_path):
+    folder, kept = str(tmp_path), tmp_path / "units"
+    units = [Unit(f"unit {i}", noted, (folder, f"unit{i}", i)) for i in range(5)]
+    UnitRunner(None, kept).run(units[:2])
+    shares = []
+    with engine(name, kept) as executor:
+        runner = UnitRunner(executor, kept)
+        values = runner.run(units, lambda index, share: shares.append((index, share)))
+        assert [each["value"] for each in values] == list(range(5))
+        assert sorted(shares) == [(i, 1.0) for i in range(5)]
+        assert runner.run(units) == values
+    assert UnitRunner(None, kept).run(units) == values
+    assert [runs(folder, f"unit{i}") for i in range(5)] == [1] * 5
+    # Half a result is none.
+    (file,) = kept.glob(f"{units[3].key()}.npz")
+    file.write_bytes(file.read_bytes()[:-30])
+    assert UnitRunner(None, kept).run(units)[3]["value"] == 3
+    assert [runs(folder, f"unit{i}") for i in range(5)] == [1, 1, 1, 2, 1]
+    runner.forget()
+    assert list(kept.glob("*.npz")) == []
+
+
+def test_a_unit_that_fails_ends_the_command_and_what_is_done_stays(tmp_path):
+    units = [Unit("good", noted, (str(tmp_path), "good", 1)), Unit("bad", refuses, ())]
+    with LocalExecutor(1) as executor:
+        with pytest.raises(ParameterError, match="mass"):
+            UnitRunner(executor, tmp_path / "units").run(units)
+        again = UnitRunner(executor, tmp_path / "units").run(units[:1])
+    assert again[0]["value"] == 1 and runs(tmp_path, "good") == 1
+
+
+def test_a_worker_of_another_version_is_named():
+    other = {**environment(), "numpy": "0.1", "code": "0" * 16}
+    (outcome,) = perform(pack([Call("x", says, ("x",))], Conditions(other, ".")))
+    assert "where 0.1 is needed" in str(outcome.error) and "code" in str(outcome.error)
+    assert "constraints.txt" in str(outcome.error)
+
+
+def test_a_folder_that_a_worker_does_not_share_is_named(tmp_path):
+    token = folder_token(tmp_path)
+    assert folder_token(tmp_path) == token
+    conditions = Conditions(environment(), ".")
+    good = Call("x", says, ("x",), folder=(tmp_path, token), needs_folder=True)
+    assert perform(pack([good], conditions))[0].error is None
+    (tmp_path / "elsewhere").mkdir()
+    for folder in (tmp_path / "elsewhere", tmp_path / "nowhere"):
+        call = Call("x", says, ("x",), folder=(folder, token), needs_folder=True)
+        assert "all machines share" in str(perform(pack([call], conditions))[0].error)
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"processes": 0}, "processes = 0"),
+        ({"worker_memory": 0.0}, "worker-memory = 0.0"),
+        ({"ray_address": "auto"}, "goes with --executor ray"),
+        ({"executor": "ray", "slurm": ("a=b",)}, "goes with --executor submitit"),
+    ],
+)
+def test_options_that_contradict_each_other_are_named(options, named):
+    with pytest.raises(ParameterError, match=named):
+        ExecutionOptions(**options)

@@ -1,0 +1,158 @@
+"""Several processes on one study: no trial lost or doubled, a killed one's tried again."""
+
+import getpass
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+from agents.experiments.study_storage import is_shared, open_study, shown
+from shake_env.errors import ParameterError
+
+WORK = """
+import sys, time
+from agents.experiments import study_storage
+from agents.experiments.controller_tuning import search
+from baselines.catalogue import Tunable
+
+study_storage.HEARTBEAT, study_storage.GRACE = 1, 4
+storage, total, seconds, note = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), sys.argv[4]
+
+def cost(values):
+    print(values["x"], file=open(note, "a"), flush=True)
+    time.sleep(seconds)
+    return (values["x"] - 1.0) ** 2
+
+def told(done, total, best):
+    print(done, flush=True)
+
+if __name__ == "__main__":
+    found = search(cost, {"x": Tunable(0.0, 10.0, 5.0, logarithmic=False)}, storage, "study", total,
+                   0, told, [{"x": 5.0}, {"x": 1.0}])
+    assert found.default_cost == 16.0 and found.cost == 0.0
+"""
+
+
+@pytest.fixture(scope="module")
+def postgresql():
+    """The URL of a server that is started for the test."""
+    pytest.importorskip("pg8000", reason="pg8000, the driver, is not installed")
+    programs = [shutil.which(name) for name in ("initdb", "postgres")]
+    if None in programs:
+        pytest.skip("PostgreSQL's initdb and postgres are not on the path")
+    # It does not run as root.
+    user = {"user": "postgres"} if os.geteuid() == 0 else {}
+    with tempfile.TemporaryDirectory(dir="/tmp") as name:
+        if user:
+            try:
+                shutil.chown(name, "postgres")
+            except LookupError:
+                pytest.skip("PostgreSQL does not run as root, and there is no user postgres")
+        data, me = f"{name}/data", "postgres" if user else getpass.getuser()
+        made = subprocess.run(
+            [programs[0], "-D", data, "-A", "trust", "-U", me], capture_output=True, text=True, **user
+        )
+        if made.returncode:
+            pytest.skip(f"initdb fails here: {made.stderr}")
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        options = ["-D", data, "-p", str(port), "-k", name, "-h", "127.0.0.1", "-c", "fsync=off"]
+        server = subprocess.Popen(
+            [programs[1], *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **user
+        )
+        for _ in range(300):
+            with socket.socket() as probe:
+                if probe.connect_ex(("127.0.0.1", port)) == 0:
+                    break
+            time.sleep(0.1)
+        time.sleep(1.0)
+        yield f"postgresql+pg8000://{me}@127.0.0.1:{port}/postgres"
+        server.send_signal(signal.SIGINT)
+        server.wait(timeout=60)
+
+
+@pytest.fixture(params=["journal", "postgresql"])
+def storage(request, tmp_path):
+    if request.param == "journal":
+        return f"journal:{tmp_path / 'study.journal'}"
+    return request.getfixturevalue("postgresql")
+
+
+def begin(folder, storage, total, seconds):
+    script, note = folder / "work.py", folder / "values"
+    script.write_text(WORK)
+    arguments = [sys.executable, str(script), storage, str(total), str(seconds), str(note)]
+    return subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, stdout=subprocess.DEVNULL)
+
+
+def values(folder):
+    file = folder / "values"
+    return file.read_text().split() if file.exists() else []
+
+
+@pytest.mark.slow
+def test_two_processes_share_a_study(storage, tmp_path):
+    total = 16
+    both = [begin(tmp_path, storage, total, 0.2) for _ in range(2)]
+    for process in both:
+        assert process.wait(timeout=300) == 0, process.stderr.read()
+    study, made = open_study(storage, "study")
+    trials = study.get_trials(deepcopy=False)
+    assert not made and {t.state.name for t in trials} == {"COMPLETE"}
+    assert total <= len(trials) <= total + 1  # both may find the last one lacking
+    assert [t.number for t in trials] == list(range(len(trials)))
+    tried = values(tmp_path)
+    assert sorted(map(float, tried)) == sorted(t.params["x"] for t in trials)  # none lost, none twice
+    assert len(set(tried)) == len(tried)
+    assert study.best_value == 0.0 and study.best_params == {"x": 1.0}
+
+
+@pytest.mark.slow
+def test_a_killed_processs_trial_is_tried_again(postgresql, tmp_path):
+    folder = tmp_path
+    database = postgresql  # a study of its own: the first test's is done
+    study, _ = open_study(database, "study")
+    before = len(study.get_trials(deepcopy=False))
+    first = begin(folder, database, before + 3, 600.0)
+    end = time.monotonic() + 120.0
+    while not values(folder) and time.monotonic() < end:
+        time.sleep(0.1)
+    first.kill()
+    first.wait()
+    (lost,) = values(folder)
+    second = begin(folder, database, before + 3, 0.1)
+    assert second.wait(timeout=300) == 0, second.stderr.read()
+    trials = study.get_trials(deepcopy=False)
+    again = [t for t in trials if t.params.get("x") == float(lost)]
+    assert [t.state.name for t in again] == ["FAIL", "COMPLETE"]
+    assert sum(t.state.name == "COMPLETE" for t in trials) >= before + 3
+    assert not any(t.state.name in ("RUNNING", "WAITING") for t in trials)
+
+
+def test_storages_are_told_apart_and_keep_their_password():
+    assert is_shared("postgresql://h/d") and is_shared("journal:x.log") and is_shared("grpc://h:1")
+    assert not is_shared(Path("runs/tune.db")) and not is_shared("C:/tune.db")
+    assert "secret" not in shown("mysql+pymysql://me:secret@host/name")
+    assert shown("journal:x.log") == "journal:x.log"
+
+
+@pytest.mark.parametrize(
+    ("storage", "words"),
+    [
+        ("grpc://nowhere", "grpc://HOST:PORT"),
+        ("nothing://me:secret@host/x", "driver installed"),
+        ("postgresql+pg8000://me:secret@127.0.0.1:9/x", "server reachable"),
+    ],
+)
+def test_a_storage_that_cannot_be_used_is_named_without_its_password(storage, words):
+    with pytest.raises(ParameterError, match=words) as raised:
+        open_study(storage, "x")
+    assert "secret" not in str(raised.value)
