@@ -50,7 +50,7 @@ def floors():
 def test_a_prediction_is_the_simulation_but_for_the_noise():
     log = laboratory_log()
     scenario = log.scenario
-    readings = predicted([scenario], log.channels["current"], log.measured)[0]
+    readings = predicted([scenario], log.channels["current"], log.measured).readings[0]
     for c, name in enumerate(log.measured):
         error = log.channels[name] - readings[:, c]
         place = scenario.observation.reading_names.index(name)
@@ -70,9 +70,9 @@ def test_each_lane_of_a_batch_is_the_table_alone(name):
     current = 0.02 * np.sin(0.05 * np.arange(200.0) ** 1.3)
     channels = ("table_acceleration", "base_shear", "load_pressure", "table_displacement")
     channels += ("floor_acceleration_1", "floor_acceleration_2")
-    together = predicted(tables, current, channels)
+    together = predicted(tables, current, channels).readings
     for lane, table in enumerate(tables):
-        alone = predicted([table], current, channels)[0]
+        alone = predicted([table], current, channels).readings[0]
         scale = np.abs(alone).max(axis=0)
         assert np.max(np.abs(together[lane] - alone) / scale) < 1e-9
 
