@@ -24,6 +24,7 @@ from agents.cli.commands import COMMANDS  # noqa: E402
 from agents.evaluation.results import COLUMNS  # noqa: E402
 from agents.reporting.evaluation_tables import cost_interval, interval  # noqa: E402
 from agents.reporting.markdown_blocks import with_block  # noqa: E402
+from agents.studies.laboratory_results import laboratory_tables  # noqa: E402
 from baselines.catalogue import BASELINES  # noqa: E402
 from baselines.information import MEANINGS  # noqa: E402
 from baselines.registry import reference_name, tuned_parameters  # noqa: E402
@@ -511,6 +512,7 @@ def pages() -> dict[Path, str]:
     for page, place, text in (
         (DOCS / "tables.md", "tables compared", compared_tables()),
         (DOCS / "planning.md", "planning", planning_figures()),
+        (DOCS / "updating.md", "laboratory figures", laboratory_tables(DOCS / "results")),
     ):
         if text is not None:
             made[page] = with_block(page, place, text)

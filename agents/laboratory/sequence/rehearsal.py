@@ -99,6 +99,7 @@ class Rehearsal:
     nominal: float  # of the full shake under the same controller on the nominal specimen
     limits_broken: int
     overridden: int
+    energy: float  # dissipated in the first storey before the last shake [J]
     failure: str | None = None
 
 
@@ -112,6 +113,8 @@ def rehearse(
     samples: int = 100,
     wider: bool = True,
     discrepancy: bool = True,
+    done: Items[Rehearsal] = (),
+    on_row: Callable[[Items[Rehearsal]], None] = lambda rehearsals: None,
     on_progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> list[Rehearsal]:
     """Run the whole loop on hidden truths; every shake under the supervisor.
@@ -128,11 +131,15 @@ def rehearse(
         Whether truths lie outside of the model; False: drawn from the prior.
     discrepancy
         Whether the update knows that its model lacks something.
+    done
+        Of an earlier call with the same arguments, ``truths`` apart; they are not made anew.
+    on_row
+        Told all rehearsals after each.
     on_progress
         Told the share of all shakes done.
     """
-    found = []
-    for number in range(truths):
+    found = list(done)
+    for number in sorted(set(range(truths)) - {each.truth for each in found}):
         stream = np.random.default_rng([seed, number])
         truth = hidden_truth(scenario, stream, wider=wider)
 
@@ -142,6 +149,7 @@ def rehearse(
         with tempfile.TemporaryDirectory() as folder:
             options = (tuple(amplitudes), tuple(controllers), samples, seed, discrepancy)
             found.append(_one(scenario, truth, number, Path(folder), options, told))
+        on_row(found)
     return found
 
 
@@ -160,7 +168,7 @@ def _one(
     inside: dict[str, bool] = {}
     errors: list[float] = []
     broken = overridden = 0
-    specimen, before = NEW, NEW
+    specimen, before, spent = NEW, NEW, 0.0
     failure, name = None, controllers[0]
     try:
         for step in range(len(amplitudes)):
@@ -174,6 +182,8 @@ def _one(
             for quantity, column in outcomes.values.items():
                 low, _, high = belief.interval(quantity)
                 inside[f"{step + 1} {quantity}"] = bool(low <= column[0] <= high)
+            if step + 1 < len(amplitudes):
+                spent += float(outcomes.values["energy"][0])
             errors.append(float(outcomes.values["base_shear_error"][0]))
             broken += bool(outcomes.broken[0])
             sequence, _ = close_shake(sequence, log, discrepancy=discrepancy)
@@ -196,6 +206,7 @@ def _one(
         nominal=full["nominal"],
         limits_broken=broken,
         overridden=overridden,
+        energy=spent,
         failure=failure,
     )
 
@@ -284,7 +295,7 @@ def summary(rehearsals: Items[Rehearsal]) -> dict[str, Any]:
         "error_over_nominal": _quantiles(against),
         "limits_broken": sum(each.limits_broken for each in rehearsals),
         "overridden": sum(each.overridden for each in rehearsals),
-        "rehearsals": [asdict(each) for each in rehearsals],
+        "rows": [asdict(each) for each in rehearsals],
     }
 
 

@@ -82,19 +82,25 @@ def plan(
     folder.mkdir(parents=True, exist_ok=True)
     if isinstance(scenario.uncertainty, PlantSamples) and prior is None:
         raise ParameterError("prior", "samples", "give the posterior's file as --prior, too")
+    first_belief(scenario, prior, samples=4 * samples, seed=seed).write(sequence.posterior_file(0))
+    sequence.write()
+    return sequence
+
+
+def first_belief(
+    scenario: Scenario, prior: Prior | None = None, *, samples: int, seed: int = 0
+) -> Posterior:
+    """Return samples of a prior as a posterior of no logs; None: `default_prior`."""
     prior = default_prior(scenario) if prior is None else prior
-    belief = Posterior(
+    return Posterior(
         scenario=replace(scenario, uncertainty=Uncertainty()),
         names=prior.names,
-        points=_possible(scenario, prior, 4 * samples, seed),
+        points=_possible(scenario, prior, samples, seed),
         method="prior",
         seed=seed,
         logs=(),
         shares=(),
     )
-    belief.write(sequence.posterior_file(0))
-    sequence.write()
-    return sequence
 
 
 def next_shake(

@@ -1,5 +1,6 @@
 """A sequence: forecast, shake, update; what is unsafe or of another test is refused; it goes on."""
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 
@@ -13,6 +14,7 @@ from agents.laboratory.identification.damage import damage_after
 from agents.laboratory.sequence.rehearsal import hidden_truth, rehearse, shake, summary
 from agents.laboratory.sequence.state import read_sequence
 from agents.laboratory.sequence.steps import close_shake, designed_on, next_shake, plan
+from agents.studies.laboratory_results import ResultFile, laboratory_tables
 from shake_env.errors import FileError, LogError, ParameterError
 from shake_env.model.specimen_state import NEW
 from shake_env.scenario.overrides import make_scenario
@@ -165,6 +167,41 @@ def test_damage_is_part_of_the_belief(tmp_path):
     assert np.abs(simulation.first_drifts[0]).max() > 1e-5
     sequence, _ = next_shake(sequence, override="a test")
     assert sequence.next.forecast is not None
+
+
+def test_a_rehearsal_goes_on_from_its_result_file(tmp_path):
+    file = tmp_path / "out.json"
+    line = (
+        "sequence rehearse --scenario laboratory --truths 1 --amplitudes 1 --samples 4 --quiet "
+        f"--well-specified --output {file}"
+    )
+    row = {
+        "truth": 0, "values": {}, "inside": {"1 energy": True}, "errors": [0.2], "informed": 0.2,
+        "nominal": 0.4, "limits_broken": 0, "overridden": 0, "energy": 1.0, "failure": None,
+    }  # fmt: skip
+    options = {
+        "seed": 0, "amplitudes": (1.0,), "controllers": ("lqg",), "samples": 4, "wider": False,
+        "discrepancy": True,
+    }  # fmt: skip
+    made = ResultFile(file, "shake sequence rehearse", make_scenario("laboratory"), options)
+    made.write_rows([row])
+    result = parse(line.split()).run(Console(quiet=True))  # nothing is left to do
+    assert result["truths"] == 1 and result["error_over_nominal"] == [0.5, 0.5, 0.5]
+    assert json.loads(file.read_text())["rows"] == [row]
+    assert "| from the prior | yes | 100 % | 1.00 [1.00, 1.00] |" in laboratory_tables_of(file, tmp_path)
+    other = parse(line.replace("--samples 4", "--samples 5").split())
+    with pytest.raises(FileError, match="another options"):
+        other.run(Console(quiet=True))
+    file.write_text("[]")
+    with pytest.raises(FileError, match="no result of this study"):
+        parse(line.split()).run(Console(quiet=True))
+
+
+def laboratory_tables_of(file, folder):
+    file.replace(folder / "laboratory_a.json")
+    text = laboratory_tables(folder)
+    (folder / "laboratory_a.json").replace(file)
+    return text
 
 
 @pytest.mark.slow
