@@ -20,6 +20,7 @@ from generators import DOCS, ROOT, reference, results  # noqa: E402
 from generators.api import PACKAGES, api  # noqa: E402
 
 from agents.reporting.markdown_blocks import with_block  # noqa: E402
+from agents.studies.laboratory_results import laboratory_tables  # noqa: E402
 from shake_env.scenario.json_schema import scenario_schema  # noqa: E402
 from shake_env.scenario.scenario_writer import SCHEMA_FILE  # noqa: E402
 
@@ -43,6 +44,7 @@ def pages() -> dict[Path, str]:
     for page, place, text in (
         (DOCS / "tables.md", "tables compared", results.compared_tables()),
         (DOCS / "planning.md", "planning", results.planning_figures()),
+        (DOCS / "updating.md", "laboratory figures", laboratory_tables(DOCS / "results")),
     ):
         if text is not None:
             made[page] = with_block(page, place, text)

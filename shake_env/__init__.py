@@ -22,6 +22,7 @@ from shake_env.scenario.overrides import make_scenario
 from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty, Uniform
+from shake_env.sequence_env import ShakeTableSequenceEnv
 from shake_env.vector_env import ShakeTableVectorEnv
 
 # ShakeTable-v0 takes the scenario as an argument; each named one also has an id of its own.
@@ -35,6 +36,8 @@ for _id, _arguments in _IDS.items():
         vector_entry_point="shake_env.vector_env:ShakeTableVectorEnv",
         kwargs=_arguments,
     )
+# One episode is a sequence of shakes on one specimen; batches of it step environment by environment.
+register(id="ShakeTable-sequence-v0", entry_point="shake_env.sequence_env:ShakeTableSequenceEnv")
 
 __version__ = "0.1.0"
 SCENARIO_NAMES = tuple(NAMED)
@@ -63,6 +66,7 @@ __all__ = [
     "ServoValve",
     "ShakeError",
     "ShakeTableEnv",
+    "ShakeTableSequenceEnv",
     "ShakeTableVectorEnv",
     "Specimen",
     "StrokeStops",

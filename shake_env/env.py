@@ -193,7 +193,7 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             raise ScenarioError("step()", "no episode is running", "call reset() first")
         step = self._simulation.engine.step_alone if self._view is None else self._shown_step
         observation, report, ended = step(single_action(action))
-        info, reward = _info(report), report[REWARD]
+        info, reward = step_info(report), report[REWARD]
         if ended == 0:
             return observation, reward, False, False, info
         self._running = False
@@ -232,7 +232,8 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             self._view.close()
 
 
-def _info(report: list[float]) -> dict[str, Any]:
+def step_info(report: list[float]) -> dict[str, Any]:
+    """Return the info of a step from its report (15,)."""
     # Written out: dict(zip(INFO_KEYS, report)) takes twice as long, a tenth of a step.
     (
         table_acceleration, target_acceleration, base_shear, reference_base_shear, current,

@@ -10,6 +10,7 @@ import numpy as np
 
 from shake_env.controller import Controller, decide
 from shake_env.errors import ParameterError
+from shake_env.model.specimen_state import SpecimenState
 from shake_env.motion.processing import fit_amplitude
 from shake_env.motion.targets import FilteredNoise, Motion, MotionSet, RecordedMotion
 from shake_env.records import RECORD_NAMES, Record
@@ -18,7 +19,7 @@ from shake_env.scenario.limits import REASONS
 from shake_env.scenario.presets import laboratory_noise
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty
-from shake_env.simulation.engine import BoolArray, StepResult
+from shake_env.simulation.engine import BoolArray, Observations, StepResult
 from shake_env.simulation.metrics import EpisodeMetrics, Sums
 from shake_env.simulation.simulation import Simulation, checked_action, earthquake_stream
 from shake_env.simulation.trajectory import Recorder, Trajectory
@@ -31,6 +32,7 @@ class Earthquake:
     name: str
     motion: Motion
     seed: int = 0
+    specimen: SpecimenState | None = None  # at the start; None: that of a drawn plant, else as new
 
 
 class PeriodLog(Protocol):
@@ -130,19 +132,57 @@ def rollout(
     metrics, trajectories
         One entry an earthquake, in order; trajectories by index.
     """
+    simulation, observation = begin(scenario, earthquakes)
+    sums, recorder = Sums(simulation.lanes), Recorder(record)
+    logs = (sums, recorder) if log is None else (sums, recorder, log)
+    reasons = run(controller, simulation, observation, logs, on_step)
+    names = [quake.name for quake in earthquakes]
+    metrics = sums.metrics(names, simulation.episode_steps, reasons)
+    return metrics, recorder.trajectories(scenario.physics_step, scenario.control_period)
+
+
+def begin(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[Simulation, Observations]:
+    """Return the tables of a roll-out at the start of their earthquakes, and their observations.
+
+    Raises
+    ------
+    ParameterError
+        If there is no earthquake.
+    """
     if not earthquakes:
         raise ParameterError("earthquakes", earthquakes, "give at least one")
-    lanes = len(earthquakes)
-    simulation = Simulation(scenario, lanes)
+    simulation = Simulation(scenario, len(earthquakes))
     observation = simulation.start(
-        range(lanes),
+        range(len(earthquakes)),
         [earthquake_stream(e.seed) for e in earthquakes],
         [e.motion for e in earthquakes],
+        [e.specimen for e in earthquakes],
     )
+    return simulation, observation
+
+
+def run(
+    controller: Controller,
+    simulation: Simulation,
+    observation: Observations,
+    logs: Sequence[PeriodLog],
+    on_step: Callable[[float], None] = lambda share: None,
+) -> list[str | None]:
+    """Run a controller on tables that `begin` started; return the limit that ended each lane, or None.
+
+    Parameters
+    ----------
+    controller, on_step
+        See `rollout`.
+    simulation, observation
+        Of `begin`.
+    logs
+        Each told every control period.
+    """
+    lanes = simulation.lanes
     steps = int(simulation.episode_steps.max())
     running = np.ones(lanes, dtype=bool)
     reasons: list[str | None] = [None] * lanes
-    sums, recorder = Sums(lanes), Recorder(record)
     memory: tuple[Any, ...] | None = None
     start = np.ones(lanes, dtype=bool)
     for t in range(steps):
@@ -150,24 +190,21 @@ def rollout(
         # A finished lane idles at rest, so that an unstable one cannot overflow.
         chosen = np.where(running, checked_action(action, (lanes, 1))[:, 0], 0.0)
         result = simulation.step(chosen)
-        sums.add(result, running)
-        recorder.add(result, running)
-        if log is not None:
+        for log in logs:
             log.add(result, running)
         for lane in np.flatnonzero(running & result.terminated):
             reasons[lane] = REASONS[int(result.broken[lane]) - 1]
         running &= ~(result.terminated | result.truncated)
-        simulation.rest(~running)
         start = ~running  # a finished lane stands as one that begins: no controller takes it for a jump
+        if start.any():
+            simulation.rest(start)
         observation = result.observation
         if t % 64 == 0:
             on_step((t + 1) / steps)
         if not running.any():
             break
     on_step(1.0)
-    names = [quake.name for quake in earthquakes]
-    metrics = sums.metrics(names, simulation.episode_steps, reasons)
-    return metrics, recorder.trajectories(scenario.physics_step, scenario.control_period)
+    return reasons
 
 
 def sampled_plants(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> list[Scenario]:

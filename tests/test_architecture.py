@@ -39,7 +39,7 @@ ROOMS = """
     baselines/lqr
     baselines/batch_controllers baselines/information
     shake_env/__init__
-    shake_env/vector_env
+    shake_env/vector_env shake_env/sequence_env
     shake_env/env
     shake_env/rendering shake_env/safety
     shake_env/rollout
@@ -64,6 +64,7 @@ LIBRARIES = {
     "shake_env/rendering": {"numpy", "PIL", "pygame", "gymnasium"},
     "shake_env/env": {"numpy", "gymnasium"},
     "shake_env/vector_env": {"numpy", "gymnasium"},
+    "shake_env/sequence_env": {"numpy", "gymnasium"},
     "shake_env/__init__": {"gymnasium"},
     "shake_env/numba_support": {"numba"},
     "shake_env/records": {"numpy", "obspy", "h5py", "openpyxl"},

@@ -33,7 +33,7 @@ def main() -> None:
         sequence = plan(Path(folder) / "frame", scenario, amplitudes=(0.25, 1.0), samples=40)
         for number in (1, 2):
             sequence, _ = next_shake(sequence, override="a simulated frame")
-            log, _ = shake(designed_on(sequence), truth, sequence.next.controller or "lqg", number)
+            log, *_ = shake(designed_on(sequence), truth, sequence.next.controller or "lqg", number)
             log = replace(log, name=f"shake {number}")
             write_log(log, HERE / f"shake{number}.h5")
             sequence, _ = close_shake(sequence, log)

@@ -201,18 +201,27 @@ class CompiledEngine:
         record[rows["severity"].start] = episode.severity
         wholes[rows["shape"].start] = self._shapes.of([motion], self._used)[0]
         self._point_to_shapes()
-        self._set_to_time_zero(record, wholes, motion)
+        self._set_to_time_zero(record, wholes, episode)
         self._call(START, at_seen=int(self._alone[_AT_SEEN]))
         shown: Observations = self._seen_alone[None].copy()
         return shown
 
-    def _set_to_time_zero(self, record: FloatArray, wholes: IntArray, motion: EpisodeMotion) -> None:
-        """Write the ground at time 0 to a table's record (rows,), where it is not at rest."""
-        if not isinstance(motion, RecordedMotion):
+    def _set_to_time_zero(self, record: FloatArray, wholes: IntArray, episode: Episode) -> None:
+        """Write ground and specimen at time 0 to a table's record (rows,), where they are not zero."""
+        motion, discrete, packed = episode.motion, self._tables.scenario.discrete, self._packed
+        if episode.specimen is None and not isinstance(motion, RecordedMotion):
             return
-        discrete, packed = self._tables.scenario.discrete, self._packed
         cursor = int(wholes[packed.rows["cursor"].start])
         slot = packed.rows["ring"].start + cursor * packed.sizes["stride"]
+        if episode.specimen is not None:
+            specimen, reference = episode.specimen
+            floors = packed.rows["state"].start + 4
+            record[floors : floors + len(specimen)] = specimen
+            record[packed.rows["slipping"]] = reference
+            behind = slot + self._rows.ground
+            record[behind : behind + self._rows.reference] = reference[: self._rows.reference]
+        if not isinstance(motion, RecordedMotion):
+            return
         initial = initial_filter_state(motion, discrete.plant.ground, discrete.dt)
         record[slot : slot + len(initial)] = initial
         if packed.sizes["yielding"]:
@@ -248,8 +257,8 @@ class CompiledEngine:
         wholes[rows["recorded"], columns] = [isinstance(motion, RecordedMotion) for motion in motions]
         record[rows["amplitude"], columns] = [motion.amplitude for motion in motions]
         record[rows["severity"], columns] = [each.severity for each in episodes]
-        for column, motion in zip(columns, motions, strict=True):
-            self._set_to_time_zero(record[:, column], wholes[:, column], motion)
+        for column, each in zip(columns, episodes, strict=True):
+            self._set_to_time_zero(record[:, column], wholes[:, column], each)
         shown = self._packed.sizes["shown"]
         seen = np.empty(block * shown + LINE // 4, dtype=np.float32)
         self._call(
@@ -301,15 +310,23 @@ class CompiledEngine:
         readings = self._packed.sizes["readings"]
         return self.ground(), self._of_tables("noise")[:, :readings] * self._tables.model.measurement.rms
 
-    def ground(self) -> GroundPeriod:
+    def ground(self, *, preview: bool = True) -> GroundPeriod:
         """Return the ground of the present period."""
-        known, sizes = self._known(), self._packed.sizes
-        now, *coming = known[:, :, : sizes["width"]]
         samples, spacing = self._tables.preview
-        if not samples:
-            return self._rows.period(now)
+        if not samples or not preview:
+            return self._rows.period(self._present())
+        now, *coming = self._known()[:, :, : self._packed.sizes["width"]]
         steps = np.concatenate([row[:, self._rows.target] for row in coming], axis=1)
         return self._rows.period(now, steps[:, spacing - 1 :: spacing][:, :samples])
+
+    def _present(self) -> FloatArray:
+        """Return the row of the present period (N, width)."""
+        sizes, ring = self._packed.sizes, self._packed.rows["ring"].start
+        cursor = int(self._wholes[0, self._packed.rows["cursor"].start, 0])
+        start = ring + cursor * sizes["stride"]
+        held = np.moveaxis(self._records[:, start : start + sizes["width"]], 1, 2)
+        present: FloatArray = held.reshape(self._padded, -1)[: self._tables.lanes].copy()
+        return present
 
     def _known(self) -> FloatArray:
         """Return the present period and those ahead of it, (slots, N, rows of a slot)."""

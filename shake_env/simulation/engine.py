@@ -47,6 +47,8 @@ class Episode:
     motion: EpisodeMotion
     steps: int  # control periods
     severity: float  # motionless cost of the motion over the unit target's
+    # [x_r, x_r', s] of specimen and reference (2, 3 stories) at the start; None: as new
+    specimen: FloatArray | None = None
 
 
 class StepResult:
@@ -94,9 +96,9 @@ class StepResult:
 
     @cached_property
     def ground(self) -> GroundPeriod:
-        """The ground; to be asked for before the next step."""
+        """The ground, without a preview; to be asked for before the next step."""
         self._require_present()
-        return self._engine.ground()
+        return self._engine.ground(preview=False)
 
     def _require_present(self) -> None:
         if self._engine.number != self._number:
@@ -128,8 +130,8 @@ class Engine(Protocol):
     def outcome(self, report: FloatArray) -> Outcome:
         """Return what the present period brought."""
 
-    def ground(self) -> GroundPeriod:
-        """Return the ground of the present period."""
+    def ground(self, *, preview: bool = True) -> GroundPeriod:
+        """Return the ground of the present period, with what a preview shows if that is asked for."""
 
     @property
     def state(self) -> FloatArray:

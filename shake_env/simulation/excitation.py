@@ -89,7 +89,11 @@ class Excitation:
         self._known = [np.zeros((lanes, self._rows.width)) for _ in range(self.ahead + 1)]
 
     def start(
-        self, lanes: Sequence[int], motions: Sequence[EpisodeMotion], keys: Sequence[IntArray]
+        self,
+        lanes: Sequence[int],
+        motions: Sequence[EpisodeMotion],
+        keys: Sequence[IntArray],
+        references: Sequence[FloatArray | None] | None = None,
     ) -> GroundPeriod:
         """Begin a motion in each of `lanes`, whose first period is the next one taken.
 
@@ -99,6 +103,8 @@ class Excitation:
             Indices of the tables, and the motion of each.
         keys
             (2,) of the random numbers of each; see `random_numbers.episode_key`.
+        references
+            ``[x~_r, x~_r', s~]`` (3 stories,) of each yielding reference; None: as new.
 
         Returns
         -------
@@ -115,6 +121,12 @@ class Excitation:
             self._shapes[lane] = shape(motion, self._discrete, self.ahead)
             self._last_target[lane] = first_target(motion, dt)
             self._known[0][lane, : self._rows.ground] = initial_filter_state(motion, ground, dt)
+        for lane, reference in zip(lanes, references or (), strict=False):
+            if reference is not None:
+                self._slipping[lane] = reference
+                self._known[0][lane, self._rows.ground : self._exogenous] = reference[
+                    : self._rows.reference
+                ]
         for i in range(self.ahead):
             self._known[i + 1][index] = self._computed(index, self._known[i][index])
         return self._taken(index)

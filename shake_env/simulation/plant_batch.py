@@ -18,6 +18,7 @@ from shake_env.errors import ScenarioError
 from shake_env.model.discretization import MOST_DIRECTIONS, DiscretePlant
 from shake_env.model.parameters import FloatArray, stacked, unchecked
 from shake_env.model.plant import CoupledPlant
+from shake_env.model.specimen_state import SpecimenState
 from shake_env.numba_support import compiled_module
 from shake_env.scenario.objective import StageCost
 from shake_env.scenario.scenario import Scenario, TruePlant
@@ -157,6 +158,17 @@ class Fleet:
         self._record[index] = maps.record
         for name, stack in self._reference.items():
             stack[index] = getattr(maps.yielding, name)
+
+    def damage(self, lane: int) -> FloatArray | None:
+        """Return ``[x_r, x_r', s]`` of a lane's specimen and reference (2, 3 stories), as drawn with it.
+
+        None: as new.
+        """
+        stories = self.scenario.specimen.stories
+        state = SpecimenState.from_values(self._values[lane], stories)
+        if state is None:
+            return None
+        return state.initial(self.scenario.nonlinearity.yielding, stories)
 
     def _stacks(self) -> dict[str, FloatArray]:
         """Return the matrices and numbers of the plants (N, ...) by the names that a state has."""

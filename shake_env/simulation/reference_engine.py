@@ -57,8 +57,13 @@ class ReferenceEngine:
         self.episode_steps[index] = [each.steps for each in episodes]
         self.severity[index] = [each.severity for each in episodes]
         self.state = np.where(np.isin(np.arange(len(self.state)), index)[:, None], 0.0, self.state)
+        n = 3 * self._tables.scenario.specimen.stories
+        for lane, each in zip(lanes, episodes, strict=True):
+            if each.specimen is not None:
+                self.state[lane, 4 : 4 + n] = each.specimen[0]
         motions, keys = [each.motion for each in episodes], [each.key for each in episodes]
-        ground = self._excitation.start(lanes, motions, keys)
+        references = [None if e.specimen is None else e.specimen[1] for e in episodes]
+        ground = self._excitation.start(lanes, motions, keys, references)
         model, memory = self._model, self._model.measurement.rest(len(lanes))
         if self._tables.scenario.sensing.full_state:
             head = model.full_state(self.state[index], ground)
@@ -140,9 +145,10 @@ class ReferenceEngine:
         assert self._outcome is not None  # a step came before
         return self._outcome
 
-    def ground(self) -> GroundPeriod:
+    def ground(self, *, preview: bool = True) -> GroundPeriod:
         """Return the ground of the present period."""
-        return self._excitation.present()
+        ground = self._excitation.present()
+        return ground if preview else replace(ground, preview=None)
 
     def rest(self, lanes: BoolArray) -> None:
         """Put the state of some tables (N,) of bool to rest, in the middle of their episodes."""

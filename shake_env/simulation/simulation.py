@@ -16,6 +16,7 @@ from shake_env.errors import ScenarioError
 from shake_env.model.inputs import checked_action as checked_action
 from shake_env.model.parameters import FloatArray
 from shake_env.model.random_numbers import episode_key
+from shake_env.model.specimen_state import SpecimenState
 from shake_env.motion.targets import Motion
 from shake_env.numba_support import compiled_module
 from shake_env.scenario.scenario import Scenario
@@ -90,6 +91,23 @@ class Simulation:
         self.engine.state = state
 
     @property
+    def first_drifts(self) -> FloatArray:
+        """Drift of the first storey of specimens and reference specimens (2, N) [m]."""
+        reference = self.engine.ground(preview=False).reference
+        drifts: FloatArray = np.stack([self.engine.state[:, 4], reference[:, 0]])
+        return drifts
+
+    @property
+    def specimens(self) -> tuple[FloatArray, FloatArray]:
+        """``[x_r, x_r', s]`` of specimens and references (N, 3 stories); (N, 0) if none yield.
+
+        A preview has the reference computed ahead: its state is that at the end of what is shown.
+        """
+        size = 3 * self.scenario.specimen.stories * self.scenario.nonlinearity.yielding.active
+        state = self.engine.get_state()
+        return state["state"][:, 4 : 4 + size], state["slipping"][:, :size]
+
+    @property
     def memory(self) -> SensorMemory:
         """What the sensors remember; a copy, which can be set."""
         return self.engine.memory
@@ -118,6 +136,9 @@ class Simulation:
         lanes: Sequence[int],
         streams: Sequence[np.random.Generator],
         motions: Sequence[Motion] | None = None,
+        specimens: Sequence[SpecimenState | None] | None = None,
+        *,
+        draw: bool = True,
     ) -> Observations:
         """Begin an episode in each of `lanes`: table and specimen at rest, a motion from its start.
 
@@ -130,23 +151,39 @@ class Simulation:
             its random numbers.
         motions
             One motion a lane; None takes the scenario's.
+        specimens
+            Damage of each lane's specimen at the start; None: that of the plant's sample, else as new.
+        draw
+            Whether an uncertain plant is drawn anew; False: each lane keeps its own.
 
         Returns
         -------
         Observations (len(lanes), n).
+
+        Raises
+        ------
+        ScenarioError
+            If a specimen is damaged whose storeys do not yield.
         """
         given = [self.scenario.motion] * len(lanes) if motions is None else motions
         chosen = [motion.pick(stream) for motion, stream in zip(given, streams, strict=True)]
         period, physics_step = self.scenario.control_period, self.scenario.physics_step
         # First what may be refused: the tables then are what they were.
         steps = [control_steps(motion, period, physics_step) for motion in chosen]
-        if self.fleet is not None:
+        given_states = [None] * len(lanes) if specimens is None else specimens
+        yielding, stories = self.scenario.nonlinearity.yielding, self.scenario.specimen.stories
+        initial = [None if s is None else s.initial(yielding, stories) for s in given_states]
+        if self.fleet is not None and draw:
             self.fleet.draw(lanes, streams)
             self.engine.redrawn(lanes)
+            initial = [
+                own if state is not None else self.fleet.damage(lane)
+                for lane, state, own in zip(lanes, given_states, initial, strict=True)
+            ]
         # A weak motion lowers what standing still costs, but not what braking a fast table does.
         episodes = [
-            Episode(episode_key(stream), motion, count, max(1.0, motion.amplitude**2))
-            for stream, motion, count in zip(streams, chosen, steps, strict=True)
+            Episode(episode_key(stream), motion, count, max(1.0, motion.amplitude**2), damage)
+            for stream, motion, count, damage in zip(streams, chosen, steps, initial, strict=True)
         ]
         return self.engine.start(lanes, episodes)
 

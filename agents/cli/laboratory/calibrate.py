@@ -25,6 +25,7 @@ class Calibrate(CommandOptions):
     Try:
       shake calibrate --data-sets 10
       shake calibrate --scenario test.toml --data-sets 300 --output out/calibration.json
+      shake calibrate --data-sets 300 --shakes 1000 --output out/calibration.json
     """
 
     scenario: str = "laboratory"
@@ -37,27 +38,45 @@ class Calibrate(CommandOptions):
     """Samples of each posterior."""
     sampler_moves: int | None = None
     """Moves of the sampler for each log (default: the normal posterior)."""
+    amplitude: float = 0.1
+    """Amplitude of the filtered noise that each log holds."""
+    without: tuple[str, ...] = ()
+    """Measured channels that are not used."""
+    controller: str = "none"
+    """Drives the tests; none plays a band-limited noise of current."""
+    shakes: int = 0
+    """Tests under lqg, drawn from the prior, that are held against a forecast made from it."""
     output: Path | None = None
-    """JSON file for the ranks and figures."""
+    """JSON file for ranks and figures; data sets that it holds already are not made anew."""
     seed: int = 0
     """Seed of everything drawn."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Draw, simulate, identify, test, print."""
         from agents.laboratory.identification.calibration import calibrate
-        from shake_env.files import write_json
+        from agents.studies.laboratory_results import ResultFile
 
         if self.data_sets < 2:
             raise ParameterError("data_sets", self.data_sets, "must be at least 2")
+        scenario = ScenarioOptions(self.scenario).build()
+        options: dict[str, Any] = {
+            "seconds": self.seconds,
+            "samples": self.samples,
+            "amplitude": self.amplitude,
+            "without": self.without,
+            "controller": self.controller,
+            "sampler_moves": self.sampler_moves,
+            "seed": self.seed,
+        }
+        file = ResultFile(self.output, "shake calibrate", scenario, options)
         with progress_by_name() as on_progress:
             result = calibrate(
-                ScenarioOptions(self.scenario).build(),
+                scenario,
                 data_sets=self.data_sets,
-                seconds=self.seconds,
-                samples=self.samples,
-                sampler_moves=self.sampler_moves,
-                seed=self.seed,
+                done=file.rows,
+                on_row=file.write_rows,
                 on_progress=on_progress,
+                **options,
             )
         rows = [
             (
@@ -73,8 +92,17 @@ class Calibrate(CommandOptions):
         print_table(console, headings, rows)
         for number, text in result["failures"]:
             console.print(escape(f"data set {number}: {text}"), soft_wrap=True)
+        if self.shakes:
+            from agents.laboratory.forecasting.coverage import forecast_coverage
+            from agents.laboratory.sequence.steps import first_belief
+
+            belief = first_belief(scenario, samples=self.samples, seed=self.seed).uncertain
+            checked = forecast_coverage(belief, "lqg", shakes=self.shakes, seed=self.seed)
+            result["forecast"] = checked
+            text = f"of {self.shakes} shakes, share within the 90 % intervals: {checked['mean']:.3f}"
+            console.print(text, highlight=False)
         if self.output is not None:
-            write_json(self.output, result)
+            file.write(result)
             console.print(escape(f"wrote {self.output}"))
         return result
 

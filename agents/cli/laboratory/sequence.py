@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -66,7 +66,7 @@ class SequenceCommand(CommandOptions):
     discrepancy: bool = True
     """close, rehearse: whether an error of the model is estimated."""
     output: Path | None = None
-    """rehearse: JSON file for the figures."""
+    """rehearse: JSON file for the figures; truths that it holds already are not made anew."""
     seed: int = 0
     """plan, rehearse: seed of everything drawn."""
     execution: Annotated[ExecutionOptions, tyro.conf.arg(name="")] = field(
@@ -169,23 +169,30 @@ class SequenceCommand(CommandOptions):
         return state
 
     def _rehearse(self, console: Console) -> dict[str, Any]:
-        from agents.laboratory.sequence.rehearsal import rehearse, summary
-        from shake_env.files import write_json
+        from agents.laboratory.sequence.rehearsal import Rehearsal, rehearse, summary
+        from agents.studies.laboratory_results import ResultFile
 
         if self.truths < 1:
             raise ParameterError("truths", self.truths, "must be at least 1")
+        scenario = ScenarioOptions(self.scenario).build()
+        options: dict[str, Any] = {
+            "seed": self.seed,
+            "amplitudes": self.amplitudes,
+            "controllers": self.controllers,
+            "samples": self.samples,
+            "wider": not self.well_specified,
+            "discrepancy": self.discrepancy,
+        }
+        file = ResultFile(self.output, "shake sequence rehearse", scenario, options)
         with self.execution.open_runner() as runner, progress_by_name() as on_progress:
             found = rehearse(
-                ScenarioOptions(self.scenario).build(),
+                scenario,
                 truths=self.truths,
-                seed=self.seed,
-                amplitudes=self.amplitudes,
-                controllers=self.controllers,
-                samples=self.samples,
-                wider=not self.well_specified,
-                discrepancy=self.discrepancy,
                 runner=runner,
+                done=[Rehearsal(**row) for row in file.rows],
+                on_row=lambda rehearsals: file.write_rows([asdict(each) for each in rehearsals]),
                 on_progress=on_progress,
+                **options,
             )
         result = summary(found)
         names = ("coverage", "error_over_informed", "error_over_nominal", "limits_broken", "overridden")
@@ -194,6 +201,6 @@ class SequenceCommand(CommandOptions):
         for number, text in result["failed"]:
             console.print(escape(f"truth {number} ended early: {text}"), soft_wrap=True)
         if self.output is not None:
-            write_json(self.output, result)
+            file.write(result)
             console.print(escape(f"wrote {self.output}"))
         return result

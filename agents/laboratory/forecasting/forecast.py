@@ -21,7 +21,7 @@ from agents.policies.registry import find_controller, get_controller
 from shake_env.errors import ParameterError, ScenarioError
 from shake_env.model.parameters import FloatArray
 from shake_env.motion.targets import MotionSet
-from shake_env.rollout import Earthquake, rollout
+from shake_env.rollout import Earthquake, begin, run
 from shake_env.scenario.plants.samples import PlantSamples
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty
@@ -104,8 +104,9 @@ def run_batch(scenario: Scenario, name: str, amplitude: float, seeds: Sequence[i
         controller = get_controller(name, scenario, quakes)
     else:  # the laboratory designs it on the middle of the samples, as one plant
         controller = get_controller(name, design_of(scenario))
-    recorder = OutcomeRecorder(scenario, len(quakes))
-    rollout(controller, scenario, quakes, on_step=report, log=recorder)
+    simulation, observation = begin(scenario, quakes)
+    recorder = OutcomeRecorder(scenario, len(quakes), drifts=simulation.first_drifts)
+    run(controller, simulation, observation, [recorder], report)
     return vars(recorder.outcomes())
 
 

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agents.evaluation.fidelity import spectrum
+from shake_env.kernels.layout import REPORT
 from shake_env.model.parameters import FloatArray
 from shake_env.scenario.limits import Limits
 from shake_env.scenario.scenario import Scenario
@@ -29,6 +31,7 @@ UNITS = {
     "peak_current": "A",
     **{f"spectrum_{period:g}": "m/s^2" for period in ORDINATES},
 }
+CURRENT = REPORT.index("current")
 LIMITED = {
     "peak_displacement": "table_displacement",
     "peak_velocity": "table_velocity",
@@ -76,48 +79,82 @@ class OutcomeRecorder:
         Number of tables N.
     plant
         What is simulated in its place with the same sensors; None: the scenario itself.
+    drifts
+        (2, N) of specimens and references in the first storey at the start [m], which earlier shakes
+        left (`Simulation.first_drifts`); None: zeros.
     """
 
-    def __init__(self, scenario: Scenario, lanes: int, plant: Scenario | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        lanes: int,
+        plant: Scenario | None = None,
+        drifts: FloatArray | None = None,
+    ) -> None:
         self.scenario, self._lanes = scenario, lanes
         shown = scenario if plant is None else plant
         self._full = scenario.sensing.full_state
+        self._readings = scenario.observation.readings
         self._scale = shown.observation.reading_scale
         self._squares, self._peaks = np.zeros((4, lanes)), np.zeros((9, lanes))
         s = len(self._scale)
         self._read_squares, self._read_peaks = np.zeros((lanes, s)), np.zeros((lanes, s))
         self._energy, self._last = np.zeros((2, lanes)), np.zeros((4, lanes))
+        if drifts is not None:
+            self._last[2:] = drifts
         self._periods = np.zeros(lanes)
-        self._rows: list[FloatArray] = []
+        self._rows: list[NDArray[np.float32]] = []
         self.broken = np.zeros(lanes, dtype=bool)
 
     def add(self, result: StepResult, running: BoolArray) -> None:
         """Add a control period of the lanes that are `running` (N,)."""
         response, ground = result.outcome.response, result.ground
-        shear, reference = response.base_shear, ground.reference_shear
-        acceleration, target = response.table_acceleration, ground.target
-        for row, signal in enumerate((shear - reference, reference, acceleration - target, target)):
-            self._squares[row] += np.where(running, np.sum(signal**2, axis=-1), 0.0)
-        state, drift = response.state, np.stack([response.state[:, 4], ground.reference[:, 0]])
-        sizes = (
-            np.max(np.abs(shear), axis=-1), np.max(np.abs(reference), axis=-1), *np.abs(drift),
-            np.abs(state[:, 1]), np.abs(state[:, 2]), np.abs(state[:, 0]),
-            np.max(np.abs(acceleration), axis=-1), np.abs(result.outcome.current),
+        # Samples of a period first, so that sums and peaks run along whole rows of tables.
+        shear, reference, acceleration, target = (
+            np.ascontiguousarray(signal.T)
+            for signal in (
+                response.base_shear, ground.reference_shear, response.table_acceleration, ground.target
+            )
         )  # fmt: skip
-        self._peaks = np.where(running, np.maximum(self._peaks, np.stack(sizes)), self._peaks)
-        now = np.stack([shear[:, -1], reference[:, -1], *drift])
+        signals = np.stack([shear - reference, reference, acceleration - target, target])
+        squares = np.einsum("skn,skn->sn", signals, signals)
+        state = response.state.T
+        now = np.stack([shear[-1], reference[-1], state[4], ground.reference[:, 0]])
+        sizes = np.empty((9, len(running)))
+        np.abs(shear).max(axis=0, out=sizes[0])
+        np.abs(reference).max(axis=0, out=sizes[1])
+        np.abs(now[2:], out=sizes[2:4])
+        np.abs(state[[1, 2, 0]], out=sizes[4:7])
+        np.abs(acceleration).max(axis=0, out=sizes[7])
+        np.abs(result.report[CURRENT], out=sizes[8])
         work = 0.5 * (now[:2] + self._last[:2]) * (now[2:] - self._last[2:])
-        self._energy += np.where(running, work, 0.0)
-        self._last = np.where(running, now, self._last)
+        held = np.empty((4, len(running)), dtype=np.float32)
+        held[:3], held[3] = now[:3], acceleration.mean(axis=0)
+        readings = None
         if not self._full:
-            shown = result.observation[:, self.scenario.observation.readings]
-            readings = np.where(running[:, None], shown * self._scale, 0.0)
+            readings = result.observation[:, self._readings] * self._scale
+        if not running.all():  # a table whose test is over adds nothing
+            squares, sizes, work, held = (
+                np.where(running, each, each.dtype.type(0)) for each in (squares, sizes, work, held)
+            )
+            now = np.where(running, now, self._last)
+            readings = None if readings is None else np.where(running[:, None], readings, 0.0)
+        self._squares += squares
+        np.maximum(self._peaks, sizes, out=self._peaks)
+        self._energy += work
+        self._last = now
+        if readings is not None:
             self._read_squares += readings**2
-            self._read_peaks = np.maximum(self._read_peaks, np.abs(readings))
+            np.maximum(self._read_peaks, np.abs(readings), out=self._read_peaks)
         self._periods += running
-        self.broken |= running & result.terminated
-        held = np.stack([shear[:, -1], reference[:, -1], drift[0], acceleration.mean(axis=-1)])
-        self._rows.append(np.where(running, held, 0.0).astype(np.float32))
+        if result.ended:
+            self.broken |= running & result.terminated
+        self._rows.append(held)
+
+    @property
+    def energy(self) -> FloatArray:
+        """Dissipated in the first storey of specimens and references so far (2, N) [J]."""
+        return self._energy.copy()
 
     def outcomes(self, points: int = 1500) -> Outcomes:
         """Return what the tests came to; histories have about `points` samples."""

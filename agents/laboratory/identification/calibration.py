@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,11 +12,13 @@ from scipy.stats import kstest
 
 from agents.evaluation.perturbations import observation_rescaling
 from agents.laboratory.identification.identify import identify
-from agents.laboratory.identification.parameters import default_prior, from_scale, plants
+from agents.laboratory.identification.parameters import Prior, default_prior, from_scale, plants
 from agents.laboratory.logs.recorder import LogRecorder
+from agents.laboratory.logs.test_log import TestLog
 from baselines.batch_controllers import Rescaled
 from baselines.registry import make_baseline
-from shake_env.errors import ShakeError
+from shake_env.errors import ParameterError, ShakeError
+from shake_env.model.parameters import FloatArray
 from shake_env.motion.targets import FilteredNoise
 from shake_env.rollout import Earthquake, rollout
 from shake_env.scenario.limits import Limits
@@ -34,8 +36,11 @@ def calibrate(
     amplitude: float = 0.1,
     samples: int = 200,
     controller: str = "none",
+    without: Sequence[str] = (),
     sampler_moves: int | None = None,
     seed: int = 0,
+    done: Sequence[Mapping[str, Any]] = (),
+    on_row: Callable[[list[dict[str, Any]]], None] = lambda rows: None,
     on_progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> dict[str, Any]:
     """Return ranks and errors of every parameter, and the test of their uniformity.
@@ -53,60 +58,117 @@ def calibrate(
     controller
         That drives the tests on the nominal plant's design; ``none`` plays a band-limited noise of
         current, which no plant can make unstable.
+    without
+        Measured channels that are not used.
     sampler_moves
         Moves of the sampler; None: the normal posterior.
     seed
         Of all that is drawn.
+    done
+        Rows of an earlier call with the same arguments, ``data_sets`` apart; they are not made anew.
+    on_row
+        Told all rows after each data set.
     on_progress
         Told the share of the data sets done.
     """
     prior = default_prior(scenario)
+    rows = [dict(row) for row in done]
+    present = {row["number"] for row in rows}
+    for number in sorted(set(range(data_sets)) - present):
+        row: dict[str, Any] = {"number": number}
+        stream = np.random.default_rng([seed, number])
+        point, log = _data_set(scenario, prior, stream, seconds, amplitude, controller)
+        plain = replace(scenario, uncertainty=Uncertainty(), limits=Limits())
+        begun = time.process_time()
+        try:
+            found = identify(
+                [log], plain, prior=prior, discrepancy=False, samples=samples, without=without,
+                sampler_moves=sampler_moves, seed=number,
+            )  # fmt: skip
+            estimate, true = (from_scale(prior.names, p) for p in (found.fit.mode, point))
+            relative = (estimate - true) / np.where(true > 0.0, true, np.inf)
+            row |= {
+                "seconds": time.process_time() - begun,
+                "ranks": np.sum(found.posterior.points < point, axis=0).tolist(),
+                "errors": relative.tolist(),
+                "widths": (found.fit.deviations / prior.deviations).tolist(),
+            }
+        except ShakeError as error:
+            row["failure"] = str(error)
+        rows.append(row)
+        on_row(rows)
+        on_progress("calibration", len(rows) / data_sets)
+    return summary(prior.names, rows, samples)
+
+
+def summary(names: Sequence[str], rows: Sequence[Mapping[str, Any]], samples: int) -> dict[str, Any]:
+    """Return the figures of data sets, whose rows `calibrate` made, as plain JSON values.
+
+    Parameters
+    ----------
+    names
+        Of the parameters.
+    rows
+        Of the data sets; at least one has ranks.
+    samples
+        Of each posterior.
+
+    Raises
+    ------
+    ParameterError
+        If no data set could be identified.
+    """
+    good = [row for row in rows if "failure" not in row]
+    if not good:
+        reason = rows[0]["failure"] if rows else "none was made"
+        raise ParameterError("data_sets", len(rows), f"none could be identified: {reason}")
+    ranks, errors, widths = (
+        np.array([row[key] for row in good]) for key in ("ranks", "errors", "widths")
+    )
+    shares = (ranks + 0.5) / (samples + 1.0)
+    tests = {n: float(kstest(shares[:, i], "uniform").pvalue) for i, n in enumerate(names)}
+    inside = np.mean(np.abs(shares - 0.5) <= 0.45, axis=0)
+
+    def by_name(values: FloatArray) -> dict[str, float]:
+        return dict(zip(names, values.tolist(), strict=True))
+
+    return {
+        "data_sets": len(rows),
+        "samples": samples,
+        "failures": [[row["number"], row["failure"]] for row in rows if "failure" in row],
+        "seconds_each": float(np.median([row["seconds"] for row in good])),  # of processor time
+        "p_values": tests,
+        "uniform": {name: p >= LEVEL for name, p in tests.items()},
+        "inside_90": by_name(inside),
+        "median_error": by_name(np.median(np.abs(errors), axis=0)),
+        "median_width": by_name(np.median(widths, axis=0)),
+        "rows": list(rows),
+    }
+
+
+def _data_set(
+    scenario: Scenario,
+    prior: Prior,
+    stream: np.random.Generator,
+    seconds: float,
+    amplitude: float,
+    controller: str,
+) -> tuple[FloatArray, TestLog]:
+    """Return a plant's point (p,) of the prior, and the log of its test."""
     # No limit ends a log early: what is tested is the identification, not the drive.
     plain = replace(scenario, uncertainty=Uncertainty(), limits=Limits())
     motion = FilteredNoise(duration=seconds, amplitude=amplitude)
-    ranks, errors, widths, failures, times = [], [], [], [], []
-    for number in range(data_sets):
-        stream = np.random.default_rng([seed, number])
-        truth = None
-        while truth is None:
-            point = prior.draw(1, stream)
-            (truth,) = plants(plain, prior.names, point)
-        quake = [Earthquake("noise", motion, int(stream.integers(2**31)))]
-        recorder = LogRecorder(plain, quake, plant=truth)
-        driver: Any = NoiseCurrent(int(stream.integers(2**31)), round(seconds * plain.control_rate))
-        if controller != "none":
-            driver = Rescaled(make_baseline(controller, plain), observation_rescaling(truth, plain))
-        rollout(driver, truth, quake, log=recorder)
-        begun = time.perf_counter()
-        try:
-            found = identify(
-                recorder.logs(), plain, prior=prior, discrepancy=False, samples=samples,
-                sampler_moves=sampler_moves, seed=number,
-            )  # fmt: skip
-        except ShakeError as error:
-            failures.append([number, str(error)])
-            continue
-        times.append(time.perf_counter() - begun)
-        ranks.append(np.sum(found.posterior.points < point, axis=0).tolist())
-        estimate = from_scale(prior.names, found.fit.mode)
-        true = from_scale(prior.names, point[0])
-        errors.append(((estimate - true) / np.where(true > 0.0, true, np.inf)).tolist())
-        widths.append((found.fit.deviations / prior.deviations).tolist())
-        on_progress("calibration", (number + 1) / data_sets)
-    shares = (np.array(ranks) + 0.5) / (samples + 1.0)
-    tests = {n: float(kstest(shares[:, i], "uniform").pvalue) for i, n in enumerate(prior.names)}
-    inside = np.mean(np.abs(shares - 0.5) <= 0.45, axis=0)
-    return {
-        "data_sets": data_sets,
-        "failures": failures,
-        "seconds_each": float(np.median(times)),
-        "p_values": tests,
-        "uniform": {name: p >= LEVEL for name, p in tests.items()},
-        "inside_90": dict(zip(prior.names, inside.tolist(), strict=True)),
-        "median_error": dict(zip(prior.names, np.median(np.abs(errors), axis=0).tolist(), strict=True)),
-        "median_width": dict(zip(prior.names, np.median(widths, axis=0).tolist(), strict=True)),
-        "ranks": dict(zip(prior.names, np.array(ranks).T.tolist(), strict=True)),
-    }
+    truth = None
+    while truth is None:
+        point = prior.draw(1, stream)
+        (truth,) = plants(plain, prior.names, point)
+    quake = [Earthquake("noise", motion, int(stream.integers(2**31)))]
+    recorder = LogRecorder(plain, quake, plant=truth)
+    driver: Any = NoiseCurrent(int(stream.integers(2**31)), round(seconds * plain.control_rate))
+    if controller != "none":
+        driver = Rescaled(make_baseline(controller, plain), observation_rescaling(truth, plain))
+    rollout(driver, truth, quake, log=recorder)
+    return point[0], recorder.logs()[0]
 
 
 class NoiseCurrent:

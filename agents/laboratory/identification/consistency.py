@@ -62,7 +62,7 @@ def require_explained(fit: Fit) -> None:
             continue
         # The prior's table: a fit to channels that are not what they say leads anywhere.
         model = fit.likelihood.scenario
-        readings = predicted([model], each.log.channels[CURRENT], each.channels)[0]
+        readings = predicted([model], each.log.channels[CURRENT], each.channels).readings[0]
         words = []
         for name in poor:
             measured = each.log.channels[name]

@@ -90,17 +90,16 @@ def fit(
     begun = time.perf_counter()
     stream = np.random.default_rng(seed)
     draws = np.concatenate([prior.mean[None], prior.draw(STARTS, stream)])
-    far = Likelihood.of(likelihood.scenario, prior.names, likelihood.data, FIRST_SHARE)
+    far = likelihood.with_share(FIRST_SHARE)
     root = prior.root
     costs = far.log_density(draws) - 0.5 * np.sum(((draws - prior.mean) @ root.T) ** 2, axis=1)
     found = _search(far, prior, draws[int(np.argmax(costs))])
     # A discrepancy that is estimated where the parameters are still off would explain that, and stay:
     # first the model is trusted, as far as it goes.
     for share in NEARER:
-        nearer = Likelihood.of(likelihood.scenario, prior.names, likelihood.data, share)
-        found = _search(nearer, prior, found.mode)
+        found = _search(likelihood.with_share(share), prior, found.mode)
     on_progress(1.0 / ROUNDS)
-    current = Likelihood.of(likelihood.scenario, prior.names, likelihood.data)
+    current = likelihood.with_share(0.0)
     for number in range(2, ROUNDS + 1):
         last = current
         current = last.with_discrepancy(found.mode) if discrepancy else last

@@ -19,7 +19,7 @@ from agents.laboratory.identification.likelihood import Likelihood, LogData
 from agents.laboratory.identification.parameters import LINEAR, Prior, default_prior, parameter
 from agents.laboratory.identification.posterior import Posterior, read_posterior
 from agents.laboratory.identification.sampler import sample
-from agents.laboratory.logs.test_log import TestLog, require_same_test
+from agents.laboratory.logs.test_log import CURRENT, TestLog, require_same_test
 from shake_env.errors import LogError, ParameterError, unknown
 from shake_env.files import no_file
 from shake_env.scenario.quantities import QuantityError, to_si
@@ -41,6 +41,7 @@ def identify(
     scenario: Scenario,
     *,
     prior: Prior | None = None,
+    earlier: Sequence[TestLog] = (),
     without: Sequence[str] = (),
     band: tuple[float, float] | None = None,
     discrepancy: bool = True,
@@ -55,11 +56,14 @@ def identify(
     Parameters
     ----------
     logs
-        Of tests on one table with one specimen.
+        Of tests on one table with one specimen, in the order in which the specimen bore them.
     scenario
         Model with the values before; its uncertainty widens the prior (`default_prior`).
     prior
         Of the parameters; None: `default_prior`.
+    earlier
+        Logs of tests that the specimen bore before these, which are in the prior: where storeys yield,
+        the specimen begins with what they left.
     without, band
         Channels that are left out, and the frequencies [Hz] that are fitted; see `LogData.of`.
     discrepancy
@@ -85,7 +89,7 @@ def identify(
         raise LogError("logs", 0, "give at least one")
     plain = replace(scenario, uncertainty=type(Scenario().uncertainty)())
     result = fit(
-        Likelihood.of(plain, prior.names, data),
+        Likelihood.of(plain, prior.names, data, [log.channels[CURRENT] for log in earlier]),
         prior,
         discrepancy=discrepancy,
         seed=seed,

@@ -102,6 +102,15 @@ class LogData:
         return max(1.0, BAND * self.log.duration)
 
 
+def slip_after(scenarios: Sequence[Scenario], currents: Sequence[FloatArray]) -> FloatArray | None:
+    """Return the storeys' slips (N, stories) after tests under some commands; None: as new."""
+    slip = None
+    if scenarios and scenarios[0].nonlinearity.yielding.active:
+        for current in currents:
+            slip = predicted(scenarios, current, (), slip).slip
+    return slip
+
+
 def fourier(signals: FloatArray) -> FloatArray:
     """Return orthonormal real Fourier coefficients (..., samples - 1, c) of signals (..., samples, c).
 
@@ -139,14 +148,24 @@ class Likelihood:
     shares: tuple[
         FloatArray, ...
     ]  # of each log: (channels,) standard deviation of the model's error [-]
+    # (samples,) [A] commands of the tests that the specimen bore before the first log, in order
+    earlier: tuple[FloatArray, ...] = ()
 
     @classmethod
     def of(
-        cls, scenario: Scenario, names: Sequence[str], data: Sequence[LogData], share: float = 0.0
+        cls,
+        scenario: Scenario,
+        names: Sequence[str],
+        data: Sequence[LogData],
+        earlier: Sequence[FloatArray] = (),
     ) -> Likelihood:
-        """Return a likelihood with one share of discrepancy in every channel."""
-        shares = tuple(np.full(len(each.channels), share) for each in data)
-        return cls(scenario, tuple(names), tuple(data), shares)
+        """Return a likelihood without discrepancy; see the fields."""
+        shares = tuple(np.zeros(len(each.channels)) for each in data)
+        return cls(scenario, tuple(names), tuple(data), shares, tuple(earlier))
+
+    def with_share(self, share: float) -> Likelihood:
+        """Return this likelihood with one share of discrepancy in every channel."""
+        return replace(self, shares=tuple(np.full_like(each, share) for each in self.shares))
 
     @cached_property
     def weights(self) -> list[FloatArray]:
@@ -165,15 +184,15 @@ class Likelihood:
         tables = plants(self.scenario, self.names, within(self.names, points))
         possible = [table for table in tables if table is not None]
         places = np.array([i for i, table in enumerate(tables) if table is not None], dtype=int)
-        found = []
-        for each in self.data:
-            current = each.log.channels[CURRENT]
-            errors = np.full((len(tables), *each.coefficients.shape), np.nan)
-            for first in range(0, len(possible), LANES):
-                chunk = slice(first, first + LANES)
-                readings = predicted(possible[chunk], current, each.channels)
-                errors[places[chunk]] = each.coefficients - fourier(readings)
-            found.append(errors)
+        found = [np.full((len(tables), *each.coefficients.shape), np.nan) for each in self.data]
+        for first in range(0, len(possible), LANES):
+            chunk = slice(first, first + LANES)
+            slip = slip_after(possible[chunk], self.earlier)
+            for each, errors in zip(self.data, found, strict=True):
+                current = each.log.channels[CURRENT]
+                prediction = predicted(possible[chunk], current, each.channels, slip)
+                errors[places[chunk]] = each.coefficients - fourier(prediction.readings)
+                slip = prediction.slip  # the specimen of the next log bore this one
         return found
 
     def residuals(self, points: FloatArray) -> FloatArray:

@@ -17,6 +17,7 @@ from agents.laboratory.logs.test_log import scenario_of_text, text_of_scenario
 from shake_env.errors import FileError, ShakeError
 from shake_env.files import write_text
 from shake_env.model.parameters import FloatArray
+from shake_env.model.specimen_state import SpecimenState, is_state_value
 from shake_env.scenario.digest import scenario_digest
 from shake_env.scenario.plants.samples import FORMAT, VERSION, PlantSamples, read_posterior_file
 from shake_env.scenario.scenario import Scenario
@@ -37,6 +38,7 @@ class Posterior:
     seed: int
     logs: tuple[tuple[str, str], ...]  # name and digest of the data of each log
     shares: tuple[tuple[str, float], ...]  # discrepancy of each channel, the largest of all logs [-]
+    states: tuple[SpecimenState, ...] = ()  # damage of the specimen by sample; (): as new
     r_hat: tuple[float, ...] | None = None  # of each parameter; None: independent draws
     effective: tuple[float, ...] | None = None  # effective sample size of each parameter
 
@@ -77,14 +79,23 @@ class Posterior:
     @property
     def uncertain(self) -> Scenario:
         """The scenario at the mean, with the samples as its uncertainty."""
-        rows = tuple(map(tuple, self.values.tolist()))
+        names, rows = self._named_rows()
         samples = PlantSamples(
-            names=self.names,
+            names=names,
             rows=rows,
             channels=tuple(name for name, _ in self.shares),
             shares=tuple(share for _, share in self.shares),
         )
         return replace(self.nominal, uncertainty=samples)
+
+    def _named_rows(self) -> tuple[tuple[str, ...], tuple[tuple[float, ...], ...]]:
+        """Return the names of a sample's values, damage included, and the values of each sample, SI."""
+        rows = tuple(map(tuple, self.values.tolist()))
+        if not any(state.damaged for state in self.states):
+            return self.names, rows
+        damages = [tuple(state.values.values()) for state in self.states]
+        names = (*self.names, *self.states[0].values)
+        return names, tuple((*row, *more) for row, more in zip(rows, damages, strict=True))
 
     def prior(self) -> Prior:
         """Return the normal prior of the next update: mean and covariance of the samples."""
@@ -101,10 +112,11 @@ class Posterior:
     def write(self, file: str | os.PathLike[str]) -> None:
         """Write the file, which `[uncertainty.posterior]` of a scenario's file names."""
         file = Path(file)
+        names, rows = self._named_rows()
         content: dict[str, Any] = {
             "format": FORMAT,
             "version": VERSION,
-            "names": list(self.names),
+            "names": list(names),
             "linear": [name for name in self.names if name in LINEAR],
             "method": self.method,
             "seed": self.seed,
@@ -114,7 +126,7 @@ class Posterior:
             "effective": None if self.effective is None else list(self.effective),
             "digest": scenario_digest(self.scenario),
             "scenario": json.loads(text_of_scenario(self.scenario)),
-            "samples": self.values.tolist(),
+            "samples": rows,
         }
         write_text(file, json.dumps(content) + "\n")
 
@@ -131,8 +143,11 @@ def read_posterior(file: str | os.PathLike[str]) -> Posterior:
     content = read_posterior_file(file)
     try:
         scenario = scenario_of_text(json.dumps(content["scenario"]))
-        names = tuple(content["names"])
+        columns = content["names"]
+        names = tuple(name for name in columns if not is_state_value(name))
         samples = np.array(content["samples"], dtype=float)
+        states = _states(columns, samples, scenario.specimen.stories)
+        samples = samples[:, [columns.index(name) for name in names]]
         points = np.where([n in LINEAR for n in names], samples, np.log(np.maximum(samples, 1e-300)))
         posterior = Posterior(
             scenario=scenario,
@@ -142,10 +157,11 @@ def read_posterior(file: str | os.PathLike[str]) -> Posterior:
             seed=int(content["seed"]),
             logs=tuple((str(a), str(b)) for a, b in content["logs"]),
             shares=tuple((str(k), float(v)) for k, v in content["shares"].items()),
+            states=states,
             r_hat=_numbers(content.get("r_hat")),
             effective=_numbers(content.get("effective")),
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         if isinstance(error, ShakeError):
             raise FileError(f"{file}, {error.field}", error.value, error.remedy) from None
         raise FileError("posterior", str(file), f"is damaged ({type(error).__name__})") from None
@@ -154,6 +170,15 @@ def read_posterior(file: str | os.PathLike[str]) -> Posterior:
     if content.get("digest") != scenario_digest(scenario):
         raise FileError(f"{file}, digest", content.get("digest"), "is not that of its scenario")
     return posterior
+
+
+def _states(columns: list[str], samples: FloatArray, stories: int) -> tuple[SpecimenState, ...]:
+    """Return the damage of each sample (samples, columns); (): as new."""
+    if not any(is_state_value(name) for name in columns):
+        return ()
+    rows = (dict(zip(columns, row, strict=True)) for row in samples.tolist())
+    states = (SpecimenState.from_values(row, stories) for row in rows)
+    return tuple(state for state in states if state is not None)
 
 
 def _numbers(values: Sequence[float] | None) -> tuple[float, ...] | None:

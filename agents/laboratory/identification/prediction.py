@@ -6,7 +6,7 @@ One lane per set of parameters: a batch of perturbed tables gives all sensitivit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,8 +24,22 @@ from shake_env.scenario.observation import STATE_SIGNALS
 from shake_env.scenario.scenario import Scenario
 
 
-def predicted(scenarios: Sequence[Scenario], current: FloatArray, channels: Sequence[str]) -> FloatArray:
-    """Return noise-free readings (N, samples, channels) of N tables under one command, from rest.
+@dataclass(frozen=True)
+class Predicted:
+    """What N tables did under one command."""
+
+    readings: FloatArray  # (N, samples, channels) without noise
+    slip: FloatArray  # (N, stories) of yielding storeys at the end [m]; (N, 0) where none yield
+    energy: FloatArray  # (N,) dissipated in the first storey [J]; zeros where none yield
+
+
+def predicted(
+    scenarios: Sequence[Scenario],
+    current: FloatArray,
+    channels: Sequence[str],
+    slip: FloatArray | None = None,
+) -> Predicted:
+    """Return what N tables do under one command, from rest.
 
     Parameters
     ----------
@@ -35,6 +49,8 @@ def predicted(scenarios: Sequence[Scenario], current: FloatArray, channels: Sequ
         (samples,) [A] command of each control period.
     channels
         Names of measured channels.
+    slip
+        (N, stories) of the storeys at the start [m], which earlier shakes left; None: zeros.
 
     Raises
     ------
@@ -50,6 +66,13 @@ def predicted(scenarios: Sequence[Scenario], current: FloatArray, channels: Sequ
     behind = {each.signal: filtered + i for i, each in enumerate(first.observation.low_passes)}
     columns = [behind.get(name, _column(name)) for name in channels]
     state = np.zeros((lanes, dynamics.states))
+    n, yielding = first.specimen.stories, first.nonlinearity.yielding
+    slips = slice(4 + 2 * n, 4 + 3 * n) if yielding.active else slice(0, 0)
+    if slip is not None and yielding.active:
+        state[:, slips] = slip * scale[:, slips]
+        floors = np.cumsum((1.0 - yielding.stiffness_ratio) * slip, axis=1)
+        state[:, 4 : 4 + n] = floors * scale[:, 4 : 4 + n]
+    energy, force, drift = np.zeros(lanes), np.zeros(lanes), state[:, 4] / scale[:, 4]
     readings = np.empty((lanes, len(current), len(channels)))
     command = np.empty(lanes)
     with np.errstate(over="ignore", invalid="ignore"):  # a table that diverges fits nothing
@@ -57,6 +80,10 @@ def predicted(scenarios: Sequence[Scenario], current: FloatArray, channels: Sequ
             command[:] = value
             response = dynamics.control_step(state, command)
             state = response.state
+            if yielding.active:
+                now = response.base_shear[:, -1], state[:, 4] / scale[:, 4]
+                energy += 0.5 * (force + now[0]) * (now[1] - drift)
+                force, drift = now
             for c, place in enumerate(columns):
                 if place >= 0:
                     readings[:, t, c] = state[:, place]
@@ -71,7 +98,7 @@ def predicted(scenarios: Sequence[Scenario], current: FloatArray, channels: Sequ
         for c, place in enumerate(columns):
             if place >= 0:
                 readings[:, :, c] /= scale[:, place, None]
-        return readings
+        return Predicted(readings, state[:, slips] / scale[:, slips], energy)
 
 
 _ACCELERATION, _SHEAR, _FLOORS = -1, -2, -3

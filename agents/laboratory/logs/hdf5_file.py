@@ -1,9 +1,9 @@
 """Logs as HDF5: a group ``channels`` of datasets with units and meanings; attributes at the root.
 
 The HDF5 library can loop for ever on a damaged file. A log that this program wrote therefore begins with
-a user block that holds the digest of what follows, and nothing is handed to the library that differs.
-Of a foreign file every one-dimensional dataset of numbers is a column, titled by its path. Links to
-other files are not followed.
+a user block that holds the digest of what follows; any other file is read by a process of its own with a
+limit on its time (`shake_env.records.formats.hdf5`). Of a foreign file every one-dimensional dataset of
+numbers is a column, titled by its path. Links to other files are not followed.
 """
 
 from __future__ import annotations
@@ -15,10 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from agents.laboratory.logs.raw import RawTable, attributes_of, column_unit, text_value, typed
+from agents.laboratory.logs.raw import (
+    Attributes,
+    RawTable,
+    attributes_of,
+    column_unit,
+    text_value,
+    typed,
+)
 from agents.laboratory.logs.test_log import MOST, TestLog, meaning_of
-from shake_env.errors import LogError, install_hint
+from shake_env.errors import LogError, RecordError, install_hint
 from shake_env.model.parameters import FloatArray
+from shake_env.records.formats.hdf5 import Item, hdf5_items, require_here
 
 _DEPTH, _COLUMNS = 6, 512
 MAGIC = b"shake_env log, HDF5 from byte 512 on, SHA-256 "
@@ -68,14 +76,30 @@ def read_hdf5(source: str, content: bytes) -> RawTable:
         if stated != hashlib.sha256(content[_BLOCK:]).hexdigest().encode():
             remedy = "is not that of the rest of the file, which was damaged: take another copy"
             raise LogError(f"{source}, SHA-256", stated.decode("latin-1")[:64], remedy)
+        attributes, items = _trusted(h5py, content, source)
+    else:
+        try:
+            attributes, items = hdf5_items(source, content, most=MOST, columns=_COLUMNS, depth=_DEPTH)
+        except RecordError as error:
+            raise LogError(error.field, error.value, error.remedy) from None
     columns: dict[str, FloatArray] = {}
     units: dict[str, str] = {}
-    try:
-        with h5py.File(io.BytesIO(content), "r") as file:
-            attributes = {str(key): text_value(value) for key, value in file.attrs.items()}
-            _gather(h5py, file, "", columns, units, source)
-    except Exception as error:  # what h5py raises on a damaged file is not written down
-        raise typed(error, source, "h5py cannot read it: the file is damaged") from None
+    for item in items:
+        try:
+            require_here(source, item)
+        except RecordError as error:
+            raise LogError(error.field, error.value, error.remedy) from None
+        if item.kind == "large":
+            remedy = f"is too large: at most {MOST} numbers, {_COLUMNS} columns"
+            raise LogError(source, item.path, remedy)
+        values = item.values
+        if values is None or values.dtype.kind not in "iuf" or values.ndim not in (1, 2):
+            continue
+        if values.ndim == 1 or 1 in values.shape:
+            columns[item.path] = values.ravel().astype(np.float64)
+        unit = item.attributes.get("unit", item.attributes.get("units"))
+        if unit is not None:
+            units[item.path] = str(unit)
     prefix = "channels/"
     if all(title.startswith(prefix) for title in columns):
         columns = {title.removeprefix(prefix): values for title, values in columns.items()}
@@ -83,32 +107,20 @@ def read_hdf5(source: str, content: bytes) -> RawTable:
     return RawTable(f"{source} (HDF5)", columns, units, attributes)
 
 
-def _gather(
-    h5py: Any,
-    group: Any,
-    path: str,
-    columns: dict[str, FloatArray],
-    units: dict[str, str],
-    source: str,
-) -> None:
-    for key in group:
-        title = f"{path}{key}"
-        if not isinstance(group.get(key, getlink=True), h5py.HardLink):
-            raise LogError(source, title, "is a link, perhaps to another file, and is not followed")
-        item = group[key]
-        if isinstance(item, h5py.Group):
-            if path.count("/") < _DEPTH:
-                _gather(h5py, item, f"{title}/", columns, units, source)
-            continue
-        if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "iuf" or item.ndim not in (1, 2):
-            continue
-        if item.is_virtual or item.external:
-            raise LogError(source, title, "lies in another file, which is not followed")
-        if item.size is None or item.size > MOST or len(columns) >= _COLUMNS:
-            raise LogError(source, title, f"is too large: at most {MOST} numbers, {_COLUMNS} columns")
-        values = np.asarray(item[()], dtype=np.float64)
-        if values.ndim == 1 or 1 in values.shape:
-            columns[title] = values.ravel()
-        unit = item.attrs.get("unit", item.attrs.get("units"))
-        if unit is not None:
-            units[title] = str(text_value(unit))
+def _trusted(h5py: Any, content: bytes, source: str) -> tuple[Attributes, list[Item]]:
+    """Return attributes and columns of a file that is as this program wrote it."""
+    try:
+        with h5py.File(io.BytesIO(content), "r") as file:
+            attributes = {str(key): text_value(value) for key, value in file.attrs.items()}
+            items = [
+                Item(
+                    path=f"channels/{name}",
+                    kind="array",
+                    attributes={str(key): text_value(value) for key, value in data.attrs.items()},
+                    values=data[()],
+                )
+                for name, data in file["channels"].items()
+            ]
+    except Exception as error:  # what h5py raises is not written down
+        raise typed(error, source, "h5py cannot read it") from None
+    return attributes, items

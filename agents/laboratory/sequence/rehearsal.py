@@ -25,12 +25,15 @@ from agents.policies.registry import get_controller
 from baselines.batch_controllers import Rescaled
 from shake_env.controller import Controller
 from shake_env.errors import ShakeError
-from shake_env.model.parameters import Specimen
+from shake_env.model.parameters import FloatArray, Specimen
+from shake_env.model.specimen_state import NEW, SpecimenState
 from shake_env.model.specimens import specimen_from_matrices
-from shake_env.rollout import Earthquake, rollout
+from shake_env.rollout import Earthquake, begin, run
 from shake_env.safety.supervisor import Supervised
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty
+from shake_env.simulation.engine import BoolArray, StepResult
+from shake_env.simulation.simulation import Simulation
 
 UNEQUAL = 0.15  # standard deviation of the logarithm of a storey's stiffness about the others'
 STICTION = (1.0, 1.5)  # static over Coulomb friction
@@ -67,9 +70,10 @@ def hidden_truth(scenario: Scenario, stream: np.random.Generator, *, wider: bool
         natural_frequency=damping / (np.pi * truth.actuator.valve_time_constant),
     )
     sensors = tuple(replace(s, bias=BIAS * s.bias) for s in truth.sensing.sensors or ())
+    # Yielding storeys are no matrices: they keep their dampers.
     return replace(
         truth,
-        specimen=_rayleigh(unequal),
+        specimen=unequal if parts.yielding.active else _rayleigh(unequal),
         nonlinearity=replace(parts, friction=friction, valve=valve),
         sensing=replace(truth.sensing, sensors=sensors or None),
     )
@@ -98,6 +102,7 @@ class Rehearsal:
     nominal: float  # of the full shake under the same controller on the nominal specimen
     limits_broken: int
     overridden: int
+    energy: float  # dissipated in the first storey before the last shake [J]
     failure: str | None = None
 
 
@@ -112,6 +117,8 @@ def rehearse(
     wider: bool = True,
     discrepancy: bool = True,
     runner: UnitRunner | None = None,
+    done: Items[Rehearsal] = (),
+    on_row: Callable[[Items[Rehearsal]], None] = lambda rehearsals: None,
     on_progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> list[Rehearsal]:
     """Run the whole loop on hidden truths; every shake under the supervisor.
@@ -130,22 +137,35 @@ def rehearse(
         Whether the update knows that its model lacks something.
     runner
         Runs the truths, each a unit; None: this process.
+    done
+        Of an earlier call with the same arguments, ``truths`` apart; they are not made anew.
+    on_row
+        Told all rehearsals after each, or, where an executor runs them, at the end.
     on_progress
         Told the share of all shakes done.
     """
     own = [own_source(name) if is_own_controller(name) else None for name in controllers]
     options = (tuple(amplitudes), tuple(controllers), samples, seed, discrepancy, wider)
+    found = list(done)
+    numbers = sorted(set(range(truths)) - {each.truth for each in found})
     units = [
         Unit(f"truth {number + 1}", _one, (scenario, number, options), (scenario, number, options, own))
-        for number in range(truths)
+        for number in numbers
     ]
-    shares = [0.0] * truths
+    shares = dict.fromkeys(numbers, 0.0)
 
     def told(index: int, share: float) -> None:
-        shares[index] = share
-        on_progress("rehearsal", sum(shares) / truths)
+        shares[numbers[index]] = share
+        on_progress("rehearsal", 1.0 - (len(numbers) - sum(shares.values())) / truths)
 
-    return [typed(Rehearsal, each) for each in (runner or UnitRunner()).run(units, told)]
+    runner = runner or UnitRunner()
+    alone = runner.executor is None
+    for first in range(len(units)) if alone else range(min(len(units), 1)):
+        part = units[first : first + 1] if alone else units
+        results = runner.run(part, lambda index, share, first=first: told(first + index, share))
+        found += [typed(Rehearsal, each) for each in results]
+        on_row(found)
+    return found
 
 
 def _one(
@@ -176,6 +196,7 @@ def _rehearsed(
     inside: dict[str, bool] = {}
     errors: list[float] = []
     broken = overridden = 0
+    specimen, before, spent = NEW, NEW, 0.0
     failure, name = None, controllers[0]
     try:
         for step in range(len(amplitudes)):
@@ -184,20 +205,23 @@ def _rehearsed(
             overridden += sequence.next.override is not None
             belief = next(each for each in forecasts if each.controller == name)
             design = designed_on(sequence)
-            log, outcomes = shake(design, truth, name, seed + 100 * number + step)
+            before = specimen
+            log, outcomes, specimen = shake(design, truth, name, seed + 100 * number + step, before)
             for quantity, column in outcomes.values.items():
                 low, _, high = belief.interval(quantity)
                 inside[f"{step + 1} {quantity}"] = bool(low <= column[0] <= high)
+            if step + 1 < len(amplitudes):
+                spent += float(outcomes.values["energy"][0])
             errors.append(float(outcomes.values["base_shear_error"][0]))
             broken += bool(outcomes.broken[0])
             sequence, _ = close_shake(sequence, log, discrepancy=discrepancy)
             report((step + 1) / (len(amplitudes) + 1))
     except ShakeError as error:
         failure = str(error)
+    # The same shake on the same specimen: the last one, with the damage that it began with.
+    last = seed + 100 * number + len(errors) - 1
     full = {
-        which: float(
-            shake(design, truth, name, seed + 100 * number + 99)[1].values["base_shear_error"][0]
-        )
+        which: float(shake(design, truth, name, last, before)[1].values["base_shear_error"][0])
         for which, design in (("informed", _informed(scenario, truth)), ("nominal", scenario))
     }
     return Rehearsal(
@@ -209,27 +233,60 @@ def _rehearsed(
         nominal=full["nominal"],
         limits_broken=broken,
         overridden=overridden,
+        energy=spent,
         failure=failure,
     )
 
 
-def shake(design: Scenario, truth: Scenario, name: str, seed: int) -> tuple[TestLog, Outcomes]:
-    """Return the log and the true outcome of a supervised test of a controller on a hidden plant."""
+def shake(
+    design: Scenario, truth: Scenario, name: str, seed: int, specimen: SpecimenState = NEW
+) -> tuple[TestLog, Outcomes, SpecimenState]:
+    """Run a supervised test of a controller on a hidden plant.
+
+    Parameters
+    ----------
+    design
+        What the controller is designed on, with the motion.
+    truth
+        The plant.
+    name
+        Of the controller.
+    seed
+        Of the noise.
+    specimen
+        Damage at the start.
+
+    Returns
+    -------
+    log, outcomes, specimen
+        Of one test, and the damage after it.
+    """
     design = replace(design, uncertainty=Uncertainty())
     plant = replace(truth, motion=design.motion)
-    quakes = [Earthquake("shake", design.motion, seed)]
+    quakes = [Earthquake("shake", design.motion, seed, specimen)]
     controller: Controller = Supervised(get_controller(name, design), design)
     recorder = LogRecorder(design, quakes, plant=plant)
-    outcome = OutcomeRecorder(design, 1, plant=plant)
-
-    class Both:
-        def add(self, result: Any, running: Any) -> None:
-            recorder.add(result, running)
-            outcome.add(result, running)
-
     driver = Rescaled(controller, observation_rescaling(plant, design))
-    rollout(driver, plant, quakes, log=Both())
-    return recorder.logs()[0], outcome.outcomes()
+    simulation, observation = begin(plant, quakes)
+    outcome = OutcomeRecorder(design, 1, plant=plant, drifts=simulation.first_drifts)
+    end = EndOfTest(simulation)
+    run(driver, simulation, observation, [recorder, outcome, end])
+    after = specimen.after(*end.specimens, *outcome.energy[:, 0])
+    return recorder.logs()[0], outcome.outcomes(), after
+
+
+class EndOfTest:
+    """Holds ``[x_r, x_r', s]`` of the one specimen and its reference when their test ends."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        self.specimens: tuple[FloatArray, FloatArray] = (np.zeros(0), np.zeros(0))
+
+    def add(self, result: StepResult, running: BoolArray) -> None:
+        """Look at the specimens where the period was the last."""
+        if result.ended and running[0]:
+            own, reference = self._simulation.specimens
+            self.specimens = own[0], reference[0]
 
 
 def _informed(scenario: Scenario, truth: Scenario) -> Scenario:
@@ -265,7 +322,7 @@ def summary(rehearsals: Items[Rehearsal]) -> dict[str, Any]:
         "error_over_nominal": _quantiles(against),
         "limits_broken": sum(each.limits_broken for each in rehearsals),
         "overridden": sum(each.overridden for each in rehearsals),
-        "rehearsals": [asdict(each) for each in rehearsals],
+        "rows": [asdict(each) for each in rehearsals],
     }
 
 
@@ -286,6 +343,7 @@ def state_of(sequence: Sequence) -> dict[str, Any]:
                 "override": shake.override,
                 "log": None if shake.log is None else shake.log[0],
                 "inside": shake.inside,
+                "damage": shake.damage,
             }
             for shake in sequence.shakes
         ],

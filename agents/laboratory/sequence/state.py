@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from agents.laboratory.identification.posterior import Posterior, read_posterior
-from agents.laboratory.logs.test_log import scenario_of_text, text_of_scenario
+from agents.laboratory.logs.log_file import read_log
+from agents.laboratory.logs.test_log import TestLog, scenario_of_text, text_of_scenario
 from shake_env.errors import FileError, ParameterError, ShakeError
 from shake_env.files import no_file, write_json
 from shake_env.scenario.scenario import Scenario
@@ -34,6 +35,9 @@ class Shake:
     log: tuple[str, str] | None = None  # name and digest of the log that closed it
     measured: Mapping[str, float] | None = None  # rms and peak of each channel
     inside: Mapping[str, bool] | None = None  # whether each lies within its interval
+    # damage after it: low end, median and high end of the belief in each value of `SpecimenState` and in
+    # each storey's remaining drift, SI
+    damage: Mapping[str, Any] | None = None
 
     @property
     def closed(self) -> bool:
@@ -76,6 +80,15 @@ class Sequence:
     def posterior(self) -> Posterior:
         """The present belief."""
         return read_posterior(self.posterior_file(self.number))
+
+    @property
+    def logs(self) -> list[TestLog]:
+        """The logs that closed shakes, in order, from the sequence's own folder."""
+        return [read_log(self.shake_folder(i) / "log.h5") for i in range(1, self.number + 1)]
+
+    def shake_folder(self, number: int) -> Path:
+        """Return the folder of a shake, counted from 1."""
+        return self.folder / f"shake_{number}"
 
     def posterior_file(self, number: int) -> Path:
         """Return the file of the belief after some shakes."""

@@ -14,6 +14,7 @@ from agents.execution.units import UnitRunner
 from agents.laboratory.forecasting.forecast import Forecast, advice, forecast
 from agents.laboratory.forecasting.page import to_json, write_page
 from agents.laboratory.identification.consistency import require_motion
+from agents.laboratory.identification.damage import damage_after
 from agents.laboratory.identification.identify import Identified, identify
 from agents.laboratory.identification.parameters import Prior, default_prior, plants
 from agents.laboratory.identification.posterior import Posterior
@@ -22,13 +23,14 @@ from agents.laboratory.logs.test_log import TestLog, require_same_test
 from agents.laboratory.sequence.state import Sequence, Shake
 from shake_env.errors import LogError, ParameterError
 from shake_env.model.parameters import FloatArray
+from shake_env.model.specimen_state import SLIP
 from shake_env.motion.targets import MotionSet
 from shake_env.scenario.plants.samples import PlantSamples
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.scenario_writer import write_scenario
 from shake_env.scenario.uncertainty import Uncertainty
+from shake_env.sequence_env import AMPLITUDES, rising
 
-AMPLITUDES = (0.1, 0.25, 0.5, 0.75, 1.0)
 Progress = Callable[[str, float], None]
 
 
@@ -71,30 +73,35 @@ def plan(
         If the amplitudes do not rise, or the folder holds a sequence.
     """
     folder = Path(folder)
+    amplitudes = rising(amplitudes)
     if isinstance(scenario.motion, MotionSet):
         raise ParameterError("motion", "a set", "a sequence repeats one motion: name it")
-    if not amplitudes or any(b <= a for a, b in zip((0.0, *amplitudes), amplitudes, strict=False)):
-        raise ParameterError("amplitudes", tuple(amplitudes), "must rise from above 0")
-    shakes = tuple(Shake(float(amplitude)) for amplitude in amplitudes)
+    shakes = tuple(Shake(amplitude) for amplitude in amplitudes)
     sequence = Sequence(folder, scenario, tuple(controllers), keep, probability, samples, seed, shakes)
     if (folder / "sequence.json").exists():
         raise ParameterError("folder", str(folder), "holds a sequence already: give another")
     folder.mkdir(parents=True, exist_ok=True)
     if isinstance(scenario.uncertainty, PlantSamples) and prior is None:
         raise ParameterError("prior", "samples", "give the posterior's file as --prior, too")
+    first_belief(scenario, prior, samples=4 * samples, seed=seed).write(sequence.posterior_file(0))
+    sequence.write()
+    return sequence
+
+
+def first_belief(
+    scenario: Scenario, prior: Prior | None = None, *, samples: int, seed: int = 0
+) -> Posterior:
+    """Return samples of a prior as a posterior of no logs; None: `default_prior`."""
     prior = default_prior(scenario) if prior is None else prior
-    belief = Posterior(
+    return Posterior(
         scenario=replace(scenario, uncertainty=Uncertainty()),
         names=prior.names,
-        points=_possible(scenario, prior, 4 * samples, seed),
+        points=_possible(scenario, prior, samples, seed),
         method="prior",
         seed=seed,
         logs=(),
         shares=(),
     )
-    belief.write(sequence.posterior_file(0))
-    sequence.write()
-    return sequence
 
 
 def next_shake(
@@ -134,7 +141,7 @@ def next_shake(
     )
     chosen = advice(found, sequence.keep)
     title = f"Shake {number + 1}, amplitude {shake.amplitude:g}"
-    write_page(found, chosen, title, sequence.folder / f"shake_{number + 1}")
+    write_page(found, chosen, title, sequence.shake_folder(number + 1))
     if chosen.amplitude == 0.0 and not override:
         raise ParameterError(
             f"shake {number + 1}",
@@ -147,7 +154,7 @@ def next_shake(
         forecast=to_json(best),
         override=override if chosen.amplitude == 0.0 else None,
     )
-    write_scenario(designed_on(sequence), sequence.folder / f"shake_{number + 1}" / "test.toml")
+    write_scenario(designed_on(sequence), sequence.shake_folder(number + 1) / "test.toml")
     sequence.write()
     return sequence, found
 
@@ -210,10 +217,13 @@ def close_shake(
         if name in intervals
     }
     belief = sequence.posterior
+    yields = sequence.scenario.nonlinearity.yielding.active
+    earlier = sequence.logs if yields else []
     result = identify(
         [log],
         belief.nominal,
         prior=belief.prior(),
+        earlier=earlier,
         without=without,
         band=band,
         discrepancy=discrepancy,
@@ -222,11 +232,43 @@ def close_shake(
         on_progress=on_progress,
     )
     posterior = replace(result.posterior, logs=(*belief.logs, (log.name, log.sha256)))
-    write_log(log, sequence.folder / f"shake_{number + 1}" / "log.h5")
+    damage = None
+    if yields:
+        posterior = with_damage(posterior, [*earlier, log])
+        damage = damage_intervals(posterior, sequence.probability)
+    write_log(log, sequence.shake_folder(number + 1) / "log.h5")
     posterior.write(sequence.posterior_file(number + 1))
-    sequence = sequence.with_next(log=(log.name, log.sha256), measured=measured, inside=inside)
+    sequence = sequence.with_next(
+        log=(log.name, log.sha256), measured=measured, inside=inside, damage=damage
+    )
     sequence.write()
-    return sequence, result
+    return sequence, replace(result, posterior=posterior)
+
+
+def with_damage(posterior: Posterior, logs: Items[TestLog]) -> Posterior:
+    """Return a posterior with the damage that tests left in each sample's specimen.
+
+    Samples that the model cannot be are left out.
+    """
+    tables = plants(posterior.scenario, posterior.names, posterior.points)
+    possible = np.array([table is not None for table in tables])
+    states = damage_after([table for table in tables if table is not None], logs)
+    return replace(posterior, points=posterior.points[possible], states=tuple(states))
+
+
+def damage_intervals(posterior: Posterior, probability: float) -> dict[str, list[float]]:
+    """Return low end, median and high end of each value of a specimen's damage, SI."""
+    columns = {
+        name: [state.values[name] for state in posterior.states] for name in posterior.states[0].values
+    }
+    alpha = posterior.scenario.nonlinearity.yielding.stiffness_ratio
+    for name in list(columns):
+        if name.startswith(SLIP):
+            drift = name.replace(SLIP, "remaining_drift")
+            columns[drift] = [(1.0 - alpha) * value for value in columns[name]]
+    tail = 0.5 - 0.5 * probability
+    ends = [tail, 0.5, 1.0 - tail]
+    return {name: np.quantile(values, ends).tolist() for name, values in columns.items()}
 
 
 def figures(log: TestLog) -> dict[str, float]:

@@ -6,8 +6,6 @@ variable called ``t`` or ``time`` is the time; ``dt`` or ``fs`` the step, ``unit
 
 from __future__ import annotations
 
-import importlib
-import io
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -16,6 +14,7 @@ import numpy as np
 
 from shake_env.errors import RecordError
 from shake_env.model.parameters import FloatArray
+from shake_env.records.formats.hdf5 import has_h5py, hdf5_items, require_here
 from shake_env.records.formats.mat5 import Mat5
 from shake_env.records.record import Record
 from shake_env.records.text.header import LARGEST_TABLE, labelled, naming
@@ -31,6 +30,7 @@ _RATES = ("fs", "rate", "sampling_rate", "sample_rate", "sampling_frequency")
 _UNITS = ("unit", "units")
 _DIRECTIONS = ("n", "s", "e", "w", "h", "N", "S", "E", "W", "H")
 _DEPTH = 4  # of structures in structures
+_VARIABLES = 4096  # of a file at most
 _CHANNELS = 64  # columns of one array at most
 
 Variables = dict[str, Any]
@@ -102,36 +102,28 @@ def matlab_variables(name: str, data: bytes) -> Variables:
 
 
 def _hdf5(name: str, data: bytes) -> Variables:
-    try:
-        h5py = importlib.import_module("h5py")
-    except ImportError:
+    """Return the variables, fields as ``name.field``: texts, transposed arrays, else None."""
+    if not has_h5py():
         raise RecordError(
             name, "MATLAB 7.3, which is HDF5", "save it with save(..., '-v7'), or: pip install h5py"
-        ) from None
-    try:
-        with h5py.File(io.BytesIO(data), "r") as file:
-            return {key: _hdf5_value(h5py, name, file, key) for key in file if key[0] != "#"}
-    except RecordError:
-        raise
-    except Exception as error:  # what h5py raises on a damaged file is not written down
-        text = f"{type(error).__name__}: {error}"[:200]
-        raise RecordError(name, text, "h5py cannot read it") from None
+        )
+    _, items = hdf5_items(name, data, most=LARGEST_TABLE, columns=_VARIABLES, depth=_DEPTH)
+    variables: Variables = {}
+    for item in items:
+        require_here(name, item)
+        if item.kind == "large":
+            _check_size(name, max(item.size, LARGEST_TABLE + 1))
+        if item.kind == "group":
+            continue
+        value: Any = item.values
+        if value is not None and item.attributes.get("MATLAB_class") == "char":
+            value = "".join(chr(int(code)) for code in value.ravel()[:200])
+        variables[item.path.replace("/", ".")] = value if value is None else _squeezed(value)
+    return variables
 
 
-def _hdf5_value(h5py: Any, name: str, group: Any, key: str, depth: int = 0) -> Any:
-    """Return a variable: its text, its transposed array, or for a structure a dictionary."""
-    if not isinstance(group.get(key, getlink=True), h5py.HardLink):
-        raise RecordError(name, key, "is a link, perhaps to another file, and is not followed")
-    item = group[key]
-    if hasattr(item, "keys"):
-        return {k: _hdf5_value(h5py, name, item, k, depth + 1) for k in item} if depth < _DEPTH else None
-    if item.is_virtual or item.external:
-        raise RecordError(name, key, "lies in another file, which is not followed")
-    _check_size(name, int(item.size or 0))
-    values = np.asarray(item[()])
-    if item.attrs.get("MATLAB_class", b"") == b"char":
-        return "".join(chr(code) for code in values.ravel()[:200])
-    return np.squeeze(values.T)
+def _squeezed(value: Any) -> Any:
+    return value if isinstance(value, str) else np.squeeze(value.T)
 
 
 def _check_size(name: str, elements: int) -> None:

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from agents.cli.commands import parse
 from agents.laboratory.forecasting.coupling import _base_shear
+from agents.laboratory.forecasting.coverage import forecast_coverage
 from agents.laboratory.forecasting.forecast import advice, forecast, prepared, with_model_error
 from agents.laboratory.forecasting.quantities import OutcomeRecorder
 from baselines.registry import make_baseline
@@ -72,6 +73,15 @@ def test_intervals_hold_a_test_drawn_from_the_belief():
         values = other.outcomes.values[name]
         inside.append(np.mean((values >= low) & (values <= high)))
     assert 0.75 < np.mean(inside) <= 1.0
+
+
+def test_coverage_counts_tests_of_other_seeds():
+    result = forecast_coverage(belief(), "lqg", shakes=30, samples=40)
+    assert (result["shakes"], result["samples"]) == (30, 40)
+    assert set(result["coverage"]) >= {"base_shear_error", "energy", "load_pressure_rms"}
+    assert 0.7 < result["mean"] <= 1.0
+    narrow = forecast_coverage(belief(), "lqg", shakes=30, samples=40, probability=0.2)
+    assert narrow["mean"] < 0.5
 
 
 def test_a_stronger_test_needs_more_of_the_table():

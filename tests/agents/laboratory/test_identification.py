@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from made_logs import laboratory_log, made
 
+from agents.laboratory.identification.calibration import calibrate
 from agents.laboratory.identification.consistency import require_motion
 from agents.laboratory.identification.fit import fit
 from agents.laboratory.identification.frequency_response import frequency_response
@@ -50,7 +51,7 @@ def floors():
 def test_a_prediction_is_the_simulation_but_for_the_noise():
     log = laboratory_log()
     scenario = log.scenario
-    readings = predicted([scenario], log.channels["current"], log.measured)[0]
+    readings = predicted([scenario], log.channels["current"], log.measured).readings[0]
     for c, name in enumerate(log.measured):
         error = log.channels[name] - readings[:, c]
         place = scenario.observation.reading_names.index(name)
@@ -70,9 +71,9 @@ def test_each_lane_of_a_batch_is_the_table_alone(name):
     current = 0.02 * np.sin(0.05 * np.arange(200.0) ** 1.3)
     channels = ("table_acceleration", "base_shear", "load_pressure", "table_displacement")
     channels += ("floor_acceleration_1", "floor_acceleration_2")
-    together = predicted(tables, current, channels)
+    together = predicted(tables, current, channels).readings
     for lane, table in enumerate(tables):
-        alone = predicted([table], current, channels)[0]
+        alone = predicted([table], current, channels).readings[0]
         scale = np.abs(alone).max(axis=0)
         assert np.max(np.abs(together[lane] - alone) / scale) < 1e-9
 
@@ -278,3 +279,25 @@ def test_posterior_of_a_fit_has_its_seed():
     log = laboratory_log()
     result = identify([log], log.scenario, samples=10, seed=3)
     assert np.array_equal(Posterior.of_fit(result.fit, 10, 3).points, result.posterior.points)
+
+
+def rows_of_ranks(ranks, p):
+    return [
+        {"number": i, "ranks": [rank] * p, "errors": [0.01] * p, "widths": [0.5] * p, "seconds": 1.0}
+        for i, rank in enumerate(ranks)
+    ]
+
+
+def test_calibration_goes_on_and_tells_uniform_ranks():
+    scenario = make_scenario("laboratory")
+    even = rows_of_ranks(range(2, 200, 5), len(default_prior(scenario).names))
+    told = []
+    # Every data set is there already: nothing is simulated.
+    result = calibrate(scenario, data_sets=40, samples=200, done=even, on_row=told.append)
+    assert told == [] and result["data_sets"] == 40
+    assert all(result["uniform"].values()) and set(result["inside_90"].values()) == {0.9}
+    low = [{**row, "ranks": [rank // 4 for rank in row["ranks"]]} for row in even]
+    result = calibrate(scenario, data_sets=40, samples=200, done=low)
+    assert not any(result["uniform"].values())
+    with pytest.raises(ParameterError, match="none could be identified: no reason"):
+        calibrate(scenario, data_sets=1, done=[{"number": 0, "failure": "no reason"}])

@@ -1,5 +1,7 @@
 """Logs: what is written reads back to the last bit; what is damaged or foreign is refused in words."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +12,11 @@ from agents.laboratory.logs.csv_file import csv_bytes
 from agents.laboratory.logs.findings import findings, require_sound
 from agents.laboratory.logs.hdf5_file import hdf5_bytes
 from agents.laboratory.logs.log_file import parse_log, read_log, write_log
-from agents.laboratory.logs.mapping import read_mapping
+from agents.laboratory.logs.mapping import ChannelSource, Mapped, read_mapping
 from agents.laboratory.logs.matlab_file import matlab_bytes
 from agents.laboratory.logs.test_log import TestLog, require_same_test
-from shake_env.errors import LogError, ShakeError
+from shake_env.errors import LogError, RecordError, ShakeError
+from shake_env.records.formats import hdf5
 from shake_env.scenario.overrides import make_scenario
 
 FORMATS = {"h5": hdf5_bytes, "mat": matlab_bytes, "csv": csv_bytes, "tdms": tdms_bytes}
@@ -209,6 +212,58 @@ def check_mutations(number: int, seed: int) -> dict[str, int]:
         assert again.sha256 == short.sha256, (ending, i)
         count["right"] += 1
     return count
+
+
+def check_foreign_mutations(number: int, seed: int) -> int:
+    """Foreign HDF5 files have no digest: what is read of a damaged one is a log or a typed error."""
+    log = laboratory_log()
+    short = replace(log, channels={k: v[:64].copy() for k, v in log.channels.items()})
+    content, rng, refused = hdf5_of_matlab(short), np.random.default_rng(seed), 0
+    names = ("current", "target_acceleration", "table_velocity")
+    units = ("A", "m/s^2", "m/s")
+    sources = {n: ChannelSource(column=n, unit=u) for n, u in zip(names, units, strict=True)}
+    mapping = Mapped(channels=sources, sampling_interval=0.005)
+    for _ in range(number):
+        damaged = content[:512] + mutated(content[512:], rng)
+        try:
+            again = parse_log("x.mat", damaged, mapping)
+        except ShakeError:
+            refused += 1
+            continue
+        assert set(again.channels) == set(names)
+    return refused
+
+
+def test_mutated_foreign_logs_are_read_or_refused():
+    assert check_foreign_mutations(6, 1) > 0
+
+
+@pytest.mark.slow
+def test_three_hundred_mutated_foreign_logs_are_read_or_refused():
+    assert check_foreign_mutations(300, 2) > 100
+
+
+@pytest.mark.parametrize(
+    ("program", "words"),
+    [
+        ("while True: pass", "not read by then"),
+        ("import os; os.abort()", "ended by signal 6"),
+        ("import sys; sys.exit('OSError: no such object')", "no such object"),
+    ],
+)
+def test_a_file_that_stops_the_library_is_refused(program, words, tmp_path, monkeypatch):
+    child = tmp_path / "child.py"
+    child.write_text(program)
+    monkeypatch.setattr(hdf5, "_CHILD", child)
+    monkeypatch.setattr(hdf5, "WAITING", 1)
+    with pytest.raises(RecordError, match=words):
+        hdf5.hdf5_items("x.h5", b"", most=10, columns=10, depth=2, seconds=1)
+
+
+def test_the_child_that_reads_has_a_limit_on_its_processor_time():
+    code = "import runpy, sys; m = runpy.run_path(sys.argv[1]); m['_limit'](1)\nwhile True: pass"
+    run = subprocess.run([sys.executable, "-I", "-c", code, str(hdf5._CHILD)], timeout=120, check=False)
+    assert run.returncode < 0
 
 
 def test_mutated_logs_are_right_or_refused():

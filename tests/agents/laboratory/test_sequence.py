@@ -1,5 +1,6 @@
 """A sequence: forecast, shake, update; what is unsafe or of another test is refused; it goes on."""
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 
@@ -9,12 +10,16 @@ from made_logs import noise
 from rich.console import Console
 
 from agents.cli.commands import parse
+from agents.laboratory.identification.damage import damage_after
 from agents.laboratory.sequence.rehearsal import hidden_truth, rehearse, shake, summary
 from agents.laboratory.sequence.state import read_sequence
 from agents.laboratory.sequence.steps import close_shake, designed_on, next_shake, plan
+from agents.studies.laboratory_results import ResultFile, laboratory_tables
 from shake_env.errors import FileError, LogError, ParameterError
+from shake_env.model.specimen_state import NEW
 from shake_env.scenario.overrides import make_scenario
 from shake_env.scenario.scenario_file import read_scenario
+from shake_env.simulation.simulation import Simulation, earthquake_stream
 
 
 def test_bed(seconds=3.0):
@@ -45,7 +50,7 @@ def test_a_sequence_goes_from_plan_to_last_shake(tmp_path):
         assert (folder / f"shake_{number}" / "forecast.html").exists()
         design = designed_on(sequence)
         assert read_scenario(folder / f"shake_{number}" / "test.toml").specimen == design.specimen
-        log, outcomes = shake(design, truth, "lqg", number)
+        log, outcomes, _ = shake(design, truth, "lqg", number)
         assert not outcomes.broken.any()
         sequence, _ = close_shake(read_sequence(folder), log)
         widths.append(sequence.posterior.points.std(axis=0))
@@ -76,7 +81,7 @@ def test_an_unsafe_shake_is_refused_unless_overridden(tmp_path):
 def test_what_is_out_of_order_is_refused(tmp_path):
     sequence = begun(tmp_path / "one")
     truth = hidden_truth(test_bed(), np.random.default_rng(1), wider=False)
-    log, _ = shake(designed_on(sequence), truth, "lqg", 1)
+    log, _, _ = shake(designed_on(sequence), truth, "lqg", 1)
     with pytest.raises(ParameterError, match="has no forecast yet"):
         close_shake(sequence, log)
     with pytest.raises(ParameterError, match="holds a sequence already"):
@@ -101,6 +106,102 @@ def test_a_hidden_truth_lies_outside_of_the_model():
     assert truth.nonlinearity.valve.natural_frequency is not None
     assert truth.nonlinearity.valve.supply_pressure < scenario.nonlinearity.valve.supply_pressure
     assert truth.observation.names == scenario.observation.names
+
+
+def yielding_bed(seconds=3.0):
+    """Two storeys that yield from 4 mm on; the yield drift is uncertain as everything else is."""
+    scenario = test_bed(seconds)
+    yielding = replace(scenario.nonlinearity.yielding, yield_drift=4e-3)
+    # A preview has the reference computed beyond the motion's end; its slip is compared here.
+    sensing = replace(scenario.sensing, preview=0.0)
+    parts = replace(scenario.nonlinearity, yielding=yielding)
+    return replace(scenario, nonlinearity=parts, sensing=sensing)
+
+
+def test_damage_follows_from_the_logs():
+    """Told the truth's parameters, the damage after two shakes is the truth's."""
+    scenario = yielding_bed()
+    truth = hidden_truth(scenario, np.random.default_rng(2), wider=False)
+    specimen, logs = NEW, []
+    for number in (1, 2):
+        log, outcomes, specimen = shake(scenario, truth, "lqg", number, specimen)
+        assert not outcomes.broken.any()
+        logs.append(log)
+    assert np.abs(specimen.slip).max() > 1e-4
+    other = truth.with_plant({"yield_drift": 5e-3})
+    same, elastic = damage_after([truth, other], logs)
+    assert same.slip == pytest.approx(specimen.slip, rel=1e-9)
+    assert same.energy == pytest.approx(specimen.energy, rel=1e-9)
+    # A log holds the target at the control rate; filtered noise has more than half of that rate shows.
+    assert same.reference_slip == pytest.approx(specimen.reference_slip, abs=5e-5)
+    assert same.reference_energy == pytest.approx(specimen.reference_energy, rel=0.06)
+    assert elastic.energy != pytest.approx(same.energy, rel=1e-3)
+    (once,) = damage_after([truth], logs[:1])
+    assert once.energy < same.energy
+    # Each lane's own yield drift, as alone.
+    (alone,) = damage_after([other], logs)
+    assert alone.slip == pytest.approx(elastic.slip, rel=1e-6, abs=1e-9)
+    assert alone.reference_slip == pytest.approx(elastic.reference_slip, rel=1e-6, abs=1e-9)
+    assert damage_after([test_bed()], logs) == [NEW]
+
+
+def test_damage_is_part_of_the_belief(tmp_path):
+    scenario = yielding_bed()
+    folder = tmp_path / "one"
+    plan(folder, scenario, amplitudes=(0.8, 1.0), samples=12, keep=0.1)
+    truth = hidden_truth(scenario, np.random.default_rng(4), wider=False)
+    sequence, _ = next_shake(read_sequence(folder), override="a test")
+    log, _, specimen = shake(designed_on(sequence), truth, "lqg", 1)
+    close_shake(read_sequence(folder), log)
+    sequence = read_sequence(folder)
+    damage = sequence.shakes[0].damage
+    low, middle, high = damage["dissipated_energy"]
+    assert low <= middle <= high
+    assert middle == pytest.approx(specimen.energy, rel=0.1)
+    assert damage["storey_slip_1"][1] == pytest.approx(specimen.slip[0], rel=0.1, abs=2e-4)
+    posterior = sequence.posterior
+    assert len(posterior.states) == len(posterior.points)
+    # The next forecast begins on damaged samples.
+    simulation = Simulation(posterior.uncertain, 4)
+    simulation.start(range(4), [earthquake_stream(i) for i in range(4)])
+    assert np.abs(simulation.first_drifts[0]).max() > 1e-5
+    sequence, _ = next_shake(sequence, override="a test")
+    assert sequence.next.forecast is not None
+
+
+def test_a_rehearsal_goes_on_from_its_result_file(tmp_path):
+    file = tmp_path / "out.json"
+    line = (
+        "sequence rehearse --scenario laboratory --truths 1 --amplitudes 1 --samples 4 --quiet "
+        f"--well-specified --output {file}"
+    )
+    row = {
+        "truth": 0, "values": {}, "inside": {"1 energy": True}, "errors": [0.2], "informed": 0.2,
+        "nominal": 0.4, "limits_broken": 0, "overridden": 0, "energy": 1.0, "failure": None,
+    }  # fmt: skip
+    options = {
+        "seed": 0, "amplitudes": (1.0,), "controllers": ("lqg",), "samples": 4, "wider": False,
+        "discrepancy": True,
+    }  # fmt: skip
+    made = ResultFile(file, "shake sequence rehearse", make_scenario("laboratory"), options)
+    made.write_rows([row])
+    result = parse(line.split()).run(Console(quiet=True))  # nothing is left to do
+    assert result["truths"] == 1 and result["error_over_nominal"] == [0.5, 0.5, 0.5]
+    assert json.loads(file.read_text())["rows"] == [row]
+    assert "| from the prior | yes | 100 % | 1.00 [1.00, 1.00] |" in laboratory_tables_of(file, tmp_path)
+    other = parse(line.replace("--samples 4", "--samples 5").split())
+    with pytest.raises(FileError, match="another options"):
+        other.run(Console(quiet=True))
+    file.write_text("[]")
+    with pytest.raises(FileError, match="no result of this study"):
+        parse(line.split()).run(Console(quiet=True))
+
+
+def laboratory_tables_of(file, folder):
+    file.replace(folder / "laboratory_a.json")
+    text = laboratory_tables(folder)
+    (folder / "laboratory_a.json").replace(file)
+    return text
 
 
 @pytest.mark.slow
