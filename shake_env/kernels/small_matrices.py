@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numba import float64, int64, njit
 
-from shake_env.kernels.compiling import kept, stamp
+from shake_env.kernels.compiling import cached, stamp
 from shake_env.model.parameters import FloatArray
 
 jit = njit(error_model="numpy", nogil=True)
@@ -374,10 +374,10 @@ def _made() -> tuple[Any, Any, Any, Any]:
         return 0
 
     return (
-        kept(int64(_stack, _stack, _each, float64, _stack, _stack, _stack), holds),
-        kept(int64(_stack, _each, _stack), stationary_covariances),
-        kept(int64(_stack, _each, _stack, int64[::1], _stack), noise_maps),
-        kept(int64(_stack, _stack, _stack, _stack, int64[::1], _stack), periods),
+        cached(int64(_stack, _stack, _each, float64, _stack, _stack, _stack), holds),
+        cached(int64(_stack, _each, _stack), stationary_covariances),
+        cached(int64(_stack, _each, _stack, int64[::1], _stack), noise_maps),
+        cached(int64(_stack, _stack, _stack, _stack, int64[::1], _stack), periods),
     )
 
 

@@ -44,7 +44,6 @@ def forecast_coverage(
             samples=number,
             probability=probability,
             seed=FIRST_SEED + seed + first,
-            processes=1,
         )[0].outcomes
         for number, first in ((samples, 0), (shakes, OTHER_SEEDS))
     )

@@ -154,15 +154,20 @@ def rehearse(
     ]
     shares = dict.fromkeys(numbers, 0.0)
 
-    def told(index: int, share: float) -> None:
-        shares[numbers[index]] = share
+    def told(number: int, share: float) -> None:
+        shares[number] = share
         on_progress("rehearsal", 1.0 - (len(numbers) - sum(shares.values())) / truths)
 
     runner = runner or UnitRunner()
     alone = runner.executor is None
-    for first in range(len(units)) if alone else range(min(len(units), 1)):
-        part = units[first : first + 1] if alone else units
-        results = runner.run(part, lambda index, share, first=first: told(first + index, share))
+    parts = [[index] for index in range(len(units))] if alone else [[*range(len(units))]]
+    for part in parts if units else []:
+        own_numbers = [numbers[index] for index in part]
+
+        def on_share(index: int, share: float, members: list[int] = own_numbers) -> None:
+            told(members[index], share)
+
+        results = runner.run([units[index] for index in part], on_share)
         found += [typed(Rehearsal, each) for each in results]
         on_row(found)
     return found
