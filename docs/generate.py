@@ -19,8 +19,8 @@ sys.path[:0] = [
 from generators import DOCS, ROOT, reference, results  # noqa: E402
 from generators.api import PACKAGES, api  # noqa: E402
 
+from agents.laboratory.result_files import laboratory_tables  # noqa: E402
 from agents.reporting.markdown_blocks import with_block  # noqa: E402
-from agents.studies.laboratory_results import laboratory_tables  # noqa: E402
 from shake_env.scenario.json_schema import scenario_schema  # noqa: E402
 from shake_env.scenario.scenario_writer import SCHEMA_FILE  # noqa: E402
 

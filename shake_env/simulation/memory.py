@@ -7,6 +7,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+from shake_env import numba_support
 from shake_env.errors import ScenarioError
 from shake_env.model.discretization import MOST_DIRECTIONS
 from shake_env.motion.targets import FilteredNoise, MotionSet
@@ -35,15 +36,16 @@ def memory_needed(scenario: Scenario, lanes: int) -> int:
     drive = table + 2 * k if scenario.equations.specimen_feels_target else 0
     width = exogenous + 2 * k + drive
     inputs = order + 1 + draws
-    design = (
-        EXPONENTIAL * (2 * order) ** 2  # of the noise covariance, the largest
-        + 2 * (order + 4 * k) * inputs  # one control period as one map, and the one under a record
+    # Of the noise covariance, the largest, and of the table; compiled code has one workspace for all.
+    workspace = EXPONENTIAL * ((2 * order) ** 2 + (table + 4) ** 2)
+    maps = (
+        2 * (order + 4 * k) * inputs  # one control period as one map, and the one under a record
         + 2 * (order + 3 * k) * (order + 2 + k)
         + width * (exogenous + draws)
-        + EXPONENTIAL * (table + 4) ** 2
         + k * (commands + 1)
     )
     plants = lanes if scenario.uncertainty.active else 1
+    design = maps * plants + workspace * (1 if numba_support.COMPILED else plants)
     samples, spacing = scenario.sensing.preview_steps(scenario.physics_step)
     slots = 1 + math.ceil(samples * spacing / k)  # of the ring of periods
     readings = 0 if scenario.sensing.full_state else len(scenario.sensing.sensors or ()) + stories
@@ -51,7 +53,7 @@ def memory_needed(scenario: Scenario, lanes: int) -> int:
     # A record of each table, and two memories that steps hand out in turn, in single precision.
     record = table + 2 * k + slots * width + 6 * readings + observation + 40
     buffers = lanes * (record + 3 * (observation // 2 + 16) + GENERATOR)
-    return NUMBER * (design * plants + buffers + _motions(scenario))
+    return NUMBER * (design + buffers + _motions(scenario))
 
 
 def _motions(scenario: Scenario) -> int:

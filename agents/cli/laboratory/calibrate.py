@@ -54,7 +54,7 @@ class Calibrate(CommandOptions):
     def run(self, console: Console) -> dict[str, Any]:
         """Draw, simulate, identify, test, print."""
         from agents.laboratory.identification.calibration import calibrate
-        from agents.studies.laboratory_results import ResultFile
+        from agents.laboratory.result_files import ResultFile
 
         if self.data_sets < 2:
             raise ParameterError("data_sets", self.data_sets, "must be at least 2")

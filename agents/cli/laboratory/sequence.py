@@ -169,8 +169,8 @@ class SequenceCommand(CommandOptions):
         return state
 
     def _rehearse(self, console: Console) -> dict[str, Any]:
+        from agents.laboratory.result_files import ResultFile
         from agents.laboratory.sequence.rehearsal import Rehearsal, rehearse, summary
-        from agents.studies.laboratory_results import ResultFile
 
         if self.truths < 1:
             raise ParameterError("truths", self.truths, "must be at least 1")

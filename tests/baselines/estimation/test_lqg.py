@@ -161,7 +161,8 @@ def test_foresight_is_the_conditional_mean(delay, preview, spacing):
     simulation.start(range(lanes), streams(lanes, 6))
     history, known = [], None
     for t in range(at + steps):
-        ground = simulation.step(np.zeros(lanes)).ground
+        simulation.step(np.zeros(lanes))
+        ground = simulation.engine.ground()
         if t == at - 1:
             parts = [ground.ground / scale[layout.ground], ground.reference / scale[layout.reference]]
             if ground.preview is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +75,7 @@ class ResultFile:
             write_json(self.path, {**self._head, **result})
 
 
-def laboratory_tables(folder: Path) -> str | None:
+def laboratory_tables(folder: str | PathLike[str]) -> str | None:
     """Return the tables of the laboratory's figures, as Markdown; None where there is no result.
 
     Parameters
@@ -83,7 +84,7 @@ def laboratory_tables(folder: Path) -> str | None:
         With ``laboratory_*.json``, which `shake calibrate` and `shake sequence rehearse` write.
     """
     parts = []
-    for file in sorted(folder.glob("laboratory_*.json")):
+    for file in sorted(Path(folder).glob("laboratory_*.json")):
         result = json.loads(file.read_text(encoding="utf-8"))
         if result["command"] == "shake calibrate" and "p_values" in result:
             parts.append(_calibration(file.stem, result))
