@@ -201,6 +201,14 @@ def test_the_shipped_policy_says_how_it_was_made():
     assert shipped_policy().stat().st_size < 300_000
 
 
+def test_no_shipped_policy_names_a_folder_of_the_machine_that_trained_it():
+    files = sorted(shipped_policy().parent.glob("*.safetensors"))
+    assert len(files) >= 10
+    for file in files:
+        command = load_policy(file).card["command"]
+        assert not any(word.startswith(("/", "~")) for word in command.split()), (file.name, command)
+
+
 @pytest.mark.parametrize("scenario_name", ["laboratory", "records", "unknown-specimen", "yielding"])
 def test_what_ships_for_a_scenario_costs_less_than_its_reference(scenario_name):
     scenario = make_scenario(scenario_name)
