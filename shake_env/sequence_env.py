@@ -15,17 +15,14 @@ from numpy.typing import NDArray
 from shake_env.env import (
     ShakeTableEnv,
     motion_option,
-    refuse_overflow,
-    single_action,
     step_info,
 )
-from shake_env.errors import ParameterError, ScenarioError
-from shake_env.kernels.layout import BROKEN, LIMIT_COST, REWARD, TERMINATED
+from shake_env.errors import ParameterError
 from shake_env.model.inputs import checked_seed
 from shake_env.model.specimen_state import NEW, SpecimenState
 from shake_env.motion.targets import EpisodeMotion
 from shake_env.rendering.window import FRAME_RATE
-from shake_env.scenario.limits import OBSERVATION_BOUND, REASONS
+from shake_env.scenario.limits import OBSERVATION_BOUND
 from shake_env.scenario.overrides import Overrides
 from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.motion_shapes import control_steps
@@ -144,9 +141,9 @@ class ShakeTableSequenceEnv(ShakeTableEnv):
         info["reference_dissipated_energy"] = now[1] + float(spent[1])
         return info
 
-    def _force_and_drift(self, report: list[float] | None) -> NDArray[np.float64]:
-        """Return base shear and first storey's drift of specimen and reference, ``[f, f~, d, d~]``."""
-        forces = (0.0, 0.0) if report is None else (report[2], report[3])
+    def _force_and_drift(self, info: dict[str, Any] | None) -> NDArray[np.float64]:
+        """Return base shear [N] and first storey's drift [m], ``[f, f~, d, d~]`` (4,); None: at rest."""
+        forces = (0.0, 0.0) if info is None else (info["base_shear"], info["reference_base_shear"])
         return np.array([*forces, *self._simulation.first_drifts[:, 0]])
 
     def step(
@@ -156,40 +153,25 @@ class ShakeTableSequenceEnv(ShakeTableEnv):
 
         Raises
         ------
-        ActionError
-            If the action has another shape or is not finite.
-        ScenarioError
-            If no episode is running.
+        ActionError, ScenarioError
+            As ``ShakeTableEnv.step``.
         """
-        if not self._running:
-            raise ScenarioError("step()", "no episode is running", "call reset() first")
-        step = self._simulation.engine.step_alone if self._view is None else self._shown_step
-        observation, report, ended = step(single_action(action))
-        now, last = self._force_and_drift(report), self._last
+        observation, reward, terminated, truncated, info = super().step(action)
+        now, last = self._force_and_drift(info), self._last
         self._energy += 0.5 * (now[:2] + last[:2]) * (now[2:] - last[2:])
         self._last = now
-        info, reward = step_info(report), report[REWARD]
-        terminated = ended == TERMINATED
         if terminated:
-            refuse_overflow(reward)
-            info["broken_limit"] = REASONS[int(report[BROKEN]) - 1]
             lacking = self._cost_of_lacking_shakes()
-            info["limit_cost"] = report[LIMIT_COST] + lacking
+            info["limit_cost"] += lacking
             reward -= lacking
         self._costs[-1] -= reward
-        info = self._with_sequence(info, ended=ended != 0)
-        truncated = False
-        if ended == 0:
-            shown = self._with_amplitude(observation)
-        elif terminated or self._shake + 1 == len(self.amplitudes):
-            self._running, truncated = False, not terminated
-            shown = self._with_amplitude(observation)
-        else:
-            self.specimen = self.specimen_now
-            self._shake += 1
-            self._costs.append(0.0)
-            shown = self._begin(episode_stream(self._stream), draw=False)
-        return shown, reward, terminated, truncated, info
+        info = self._with_sequence(info, ended=terminated or truncated)
+        if not truncated or self._shake + 1 == len(self.amplitudes):
+            return self._with_amplitude(observation), reward, terminated, truncated, info
+        self.specimen = self.specimen_now
+        self._shake += 1
+        self._costs.append(0.0)
+        return self._begin(episode_stream(self._stream), draw=False), reward, False, False, info
 
     def _cost_of_lacking_shakes(self) -> float:
         """Return what a motionless table would be charged over the shakes that are not begun."""

@@ -14,6 +14,7 @@ from agents.cli.output_path import require_storage, require_writable_file
 from agents.execution.options import ExecutionOptions
 from agents.progress import progress_bar, progress_by_name
 from agents.scenario_options import ScenarioOptions
+from shake_env.errors import ParameterError
 from shake_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -65,9 +66,16 @@ class Tune(CommandOptions):
         require_storage(self.storage)
         kept_values(self.output)  # says before the search if it is another kind of file
         if self.controller != ALL:
+            if self.execution != ExecutionOptions():
+                remedy = "one search is one process: start the command again on the same --storage"
+                raise ParameterError("executor", self.execution.executor, remedy)
             return self._tune(self.controller, scenario, console)
 
         return self._tune_all(scenario, console)
+
+    @property
+    def _search(self) -> dict[str, int]:
+        return {"budget": self.budget, "earthquakes": self.earthquakes, "seed": self.seed}
 
     def _tune_all(self, scenario: Scenario, console: Console) -> dict[str, Any]:
         from agents.experiments.controller_tuning import keep, kept_values, tune_each
@@ -79,12 +87,10 @@ class Tune(CommandOptions):
                 [*BASELINES],
                 scenario,
                 self.storage,
-                budget=self.budget,
-                earthquakes=self.earthquakes,
-                seed=self.seed,
                 tuned=kept_values(self.output),
                 runner=runner,
                 on_progress=on_progress,
+                **self._search,
             )
         for name, each in found.items():
             if isinstance(each, str):
@@ -111,11 +117,9 @@ class Tune(CommandOptions):
                 name,
                 scenario,
                 self.storage,
-                budget=self.budget,
-                earthquakes=self.earthquakes,
-                seed=self.seed,
                 tuned=kept_values(self.output),
                 on_trial=on_trial,
+                **self._search,
             )
         self._print(tuning, console)
         if self.output is not None:

@@ -116,19 +116,19 @@ class UnitRunner:
         files: list[Path | None] = [None] * len(units)
         if self.folder is not None:
             files = [self.folder.resolve() / f"{unit.key()}.npz" for unit in units]
-        todo = []
+        missing = []
         for index, file in enumerate(files):
             if file is None or not file.is_file():
-                todo.append(index)
+                missing.append(index)
                 continue
             try:
                 values[index] = decoded(file.read_bytes())
                 on_share(index, 1.0)
             except FileError:
                 file.unlink(missing_ok=True)
-                todo.append(index)
+                missing.append(index)
         self._used |= {file for file in files if file is not None}
-        for index, content in self._contents([(i, units[i], files[i]) for i in todo], on_share):
+        for index, content in self._contents([(i, units[i], files[i]) for i in missing], on_share):
             values[index] = decoded(content)
             if (file := files[index]) is not None and not file.is_file():
                 write_bytes(file, content)

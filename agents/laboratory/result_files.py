@@ -93,6 +93,20 @@ def laboratory_tables(folder: str | PathLike[str]) -> str | None:
     return "\n".join(parts) if parts else None
 
 
+def calibration_cells(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return a row for each parameter: name, p-value, share within 90 %, median error, width."""
+    return [
+        (
+            name,
+            f"{result['p_values'][name]:.3f}",
+            f"{100 * result['inside_90'][name]:.0f} %",
+            f"{100 * result['median_error'][name]:.2g} %",
+            f"{100 * result['median_width'][name]:.2g} %",
+        )
+        for name in result["p_values"]
+    ]
+
+
 def _calibration(name: str, result: Mapping[str, Any]) -> str:
     options = result["options"]
     text = (
@@ -100,16 +114,7 @@ def _calibration(name: str, result: Mapping[str, Any]) -> str:
         f"{len(result['failures'])} not identified, {result['seconds_each']:.1f} s of processor time "
         "each. Uniform ranks have a p-value of at least 0.01.\n\n"
     )
-    rows = [
-        (
-            f"`{each}`",
-            f"{result['p_values'][each]:.3f}",
-            f"{100 * result['inside_90'][each]:.0f} %",
-            f"{100 * result['median_error'][each]:.2g} %",
-            f"{100 * result['median_width'][each]:.2g} %",
-        )
-        for each in result["p_values"]
-    ]
+    rows = [(f"`{name}`", *cells) for name, *cells in calibration_cells(result)]
     head = ("parameter", "p-value of ranks", "within 90 %", "median error", "width over prior's")
     text += markdown_table(head, rows)
     if "forecast" in result:

@@ -54,7 +54,7 @@ class Calibrate(CommandOptions):
     def run(self, console: Console) -> dict[str, Any]:
         """Draw, simulate, identify, test, print."""
         from agents.laboratory.identification.calibration import calibrate
-        from agents.laboratory.result_files import ResultFile
+        from agents.laboratory.result_files import ResultFile, calibration_cells
 
         if self.data_sets < 2:
             raise ParameterError("data_sets", self.data_sets, "must be at least 2")
@@ -78,18 +78,8 @@ class Calibrate(CommandOptions):
                 on_progress=on_progress,
                 **options,
             )
-        rows = [
-            (
-                name,
-                f"{result['p_values'][name]:.3f}",
-                f"{100 * result['inside_90'][name]:.0f} %",
-                f"{100 * result['median_error'][name]:.2g} %",
-                f"{100 * result['median_width'][name]:.2g} %",
-            )
-            for name in result["p_values"]
-        ]
         headings = ("parameter", "p-value", "within 90 %", "median error", "width of\nprior's")
-        print_table(console, headings, rows)
+        print_table(console, headings, calibration_cells(result))
         for number, text in result["failures"]:
             console.print(escape(f"data set {number}: {text}"), soft_wrap=True)
         if self.shakes:

@@ -176,3 +176,8 @@ def test_a_tunable_range_must_hold_its_default():
     for values in ((2.0, 1.0, 1.5), (0.0, 1.0, 0.5), (1.0, 2.0, 3.0)):
         with pytest.raises(ParameterError, match="tunable range"):
             Tunable(*values)
+
+
+def test_an_executor_for_a_single_search_is_refused(capsys):
+    assert main(["tune", "pid", "--executor", "ray"]) == 2
+    assert "same --storage" in capsys.readouterr().err

@@ -46,6 +46,7 @@ def postgresql():
     pytest.importorskip("pg8000", reason="pg8000, the driver, is not installed")
     programs = [shutil.which(name) for name in ("initdb", "postgres")]
     if None in programs:
+        # The server is the system's, not a Python package: most machines have none.
         pytest.skip("PostgreSQL's initdb and postgres are not on the path")
     # It does not run as root.
     user = {"user": "postgres"} if os.geteuid() == 0 else {}
@@ -54,12 +55,14 @@ def postgresql():
             try:
                 shutil.chown(name, "postgres")
             except LookupError:
+                # Debian's package makes this user; another installation need not.
                 pytest.skip("PostgreSQL does not run as root, and there is no user postgres")
         data, me = f"{name}/data", "postgres" if user else getpass.getuser()
         made = subprocess.run(
             [programs[0], "-D", data, "-A", "trust", "-U", me], capture_output=True, text=True, **user
         )
         if made.returncode:
+            # A container without locales or shared memory: the server itself cannot be made here.
             pytest.skip(f"initdb fails here: {made.stderr}")
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
