@@ -1,8 +1,8 @@
 """Threads that take a share of a compiled call's work, as much of it as they come to.
 
 The work is cut into pieces that are taken one by one. A helper that wakes late, because the processor
-is busy with other work, finds fewer pieces left or none, and nobody waits for it: a call takes hardly
-longer with helpers than without. The compiled call lets go of Python's lock.
+is busy with other work, finds fewer pieces left or none, and nobody waits for it; a piece that it has
+begun is waited for. The compiled call releases Python's lock.
 """
 
 from __future__ import annotations
