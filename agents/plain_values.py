@@ -18,8 +18,8 @@ def typed(kind: type[Value], values: object, name: str = "") -> Value:
     Parameters
     ----------
     kind
-        A dataclass of numbers, words, truth values, None, tuples of these and other dataclasses. Fields
-        that are not given take their defaults.
+        A dataclass of numbers, words, truth values, None, tuples, lists and mappings of these, and other
+        dataclasses. Fields that are not given take their defaults.
     values
         What was read; an object that is no mapping is refused.
     name
@@ -51,6 +51,8 @@ def _hints(kind: type[Any]) -> dict[str, Any]:
 
 
 def _typed(hint: Any, value: Any, name: str) -> Any:
+    if hint is Any:
+        return value
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         if value is None and type(None) in arguments:
@@ -61,14 +63,14 @@ def _typed(hint: Any, value: Any, name: str) -> Any:
         if value not in arguments:
             raise ValueError(f"{name} is {value!r}: known are {', '.join(map(repr, arguments))}")
         return value
-    if origin is tuple:
+    if origin in (tuple, list):
         if not isinstance(value, list | tuple):
             raise ValueError(f"{name} is {value!r}: must be a list")
-        return tuple(_typed(arguments[0], each, name) for each in value)
+        return origin(_typed(arguments[0], each, name) for each in value)
     if origin is dict:
         if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
             raise ValueError(f"{name} is {value!r}: must be a JSON object")
-        return value
+        return {key: _typed(arguments[1], each, f"{name}.{key}") for key, each in value.items()}
     if is_dataclass(hint):
         return typed(hint, value, name)  # type: ignore[arg-type]  # a hint is a class, no value
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
