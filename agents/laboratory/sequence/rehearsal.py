@@ -30,7 +30,8 @@ from shake_env.model.specimen_state import NEW, SpecimenState
 from shake_env.model.specimens import specimen_from_matrices
 from shake_env.rollout import Earthquake, begin, run
 from shake_env.safety.supervisor import Supervised
-from shake_env.scenario.scenario import Scenario
+from shake_env.scenario.plants.values import specimen_names
+from shake_env.scenario.scenario import UNIFORM, Scenario
 from shake_env.scenario.uncertainty import Uncertainty
 from shake_env.simulation.engine import BoolArray, StepResult
 from shake_env.simulation.simulation import Simulation
@@ -44,15 +45,22 @@ BIAS = 3.0  # of the sensors' own offsets
 def hidden_truth(scenario: Scenario, stream: np.random.Generator, *, wider: bool = True) -> Scenario:
     """Return a plant that the fitted model is not told; its sensors are the scenario's.
 
-    Drawn from the scenario's prior, and with `wider` outside of the model: unequal storeys with
-    Rayleigh damping, Stribeck friction, a valve of second order, a supply pressure that sags, and larger
-    offsets of the sensors.
+    Drawn from the scenario's prior. With `wider` what the scenario's uncertainty names is drawn from its
+    ranges instead, and the plant lies outside of the model: unequal storeys with Rayleigh damping,
+    Stribeck friction, a valve of second order, a supply pressure that sags, and larger offsets of the
+    sensors.
     """
     prior = default_prior(scenario)
     plain = replace(scenario, uncertainty=Uncertainty())
+    known, ranges = scenario.uncertainty, {}
+    if wider and isinstance(known, Uncertainty):
+        ranges = known.sample(stream, plain.specimen.stories)
+    of_specimen = set(specimen_names(plain.specimen)) if set(ranges) & set(UNIFORM) else set()
+    ours = [i for i, name in enumerate(prior.names) if name not in {*ranges, *of_specimen}]
+    names = tuple(prior.names[i] for i in ours)
     truth = None
     while truth is None:
-        (truth,) = plants(plain, prior.names, prior.draw(1, stream))
+        (truth,) = plants(plain.with_plant(ranges), names, prior.draw(1, stream)[:, ours])
     if not wider:
         return truth
     specimen = truth.specimen
@@ -205,7 +213,8 @@ def _rehearsed(
     failure, name = None, controllers[0]
     try:
         for step in range(len(amplitudes)):
-            sequence, forecasts = next_shake(sequence, override="rehearsal: the truth is simulated")
+            reason = "rehearsal: the truth is simulated"
+            sequence, forecasts = next_shake(sequence, override=reason, page=False)
             name = sequence.next.controller or controllers[0]
             overridden += sequence.next.override is not None
             belief = next(each for each in forecasts if each.controller == name)

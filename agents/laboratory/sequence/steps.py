@@ -108,6 +108,7 @@ def next_shake(
     sequence: Sequence,
     *,
     override: str | None = None,
+    page: bool = True,
     runner: UnitRunner | None = None,
     on_progress: Progress = silent,
 ) -> tuple[Sequence, list[Forecast]]:
@@ -119,6 +120,8 @@ def next_shake(
         As `read_sequence` returns it.
     override
         Reason why the shake is made although its forecast calls it unsafe.
+    page
+        Whether the forecast's page is written to the shake's folder.
     runner, on_progress
         See `forecast`.
 
@@ -140,8 +143,9 @@ def next_shake(
         on_progress=on_progress,
     )
     chosen = advice(found, sequence.keep)
-    title = f"Shake {number + 1}, amplitude {shake.amplitude:g}"
-    write_page(found, chosen, title, sequence.shake_folder(number + 1))
+    folder = sequence.shake_folder(number + 1)
+    if page:
+        write_page(found, chosen, f"Shake {number + 1}, amplitude {shake.amplitude:g}", folder)
     if chosen.amplitude == 0.0 and not override:
         raise ParameterError(
             f"shake {number + 1}",
@@ -154,7 +158,7 @@ def next_shake(
         forecast=to_json(best),
         override=override if chosen.amplitude == 0.0 else None,
     )
-    write_scenario(designed_on(sequence), sequence.shake_folder(number + 1) / "test.toml")
+    write_scenario(designed_on(sequence), folder / "test.toml")
     sequence.write()
     return sequence, found
 

@@ -9,7 +9,9 @@ import time
 from pathlib import Path
 
 import pytest
-from unit_calls import runs
+from unit_calls import begins_and_ends, runs
+
+from agents.execution.units import Unit
 
 ray = pytest.importorskip("ray", reason="ray is not installed: it is an extra")
 pytestmark = pytest.mark.slow
@@ -70,8 +72,17 @@ def test_killed_workers_node_and_driver_lose_no_unit_and_repeat_none_that_is_don
             stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
 
+    results = [
+        tmp_path / "units" / f"{Unit(name, begins_and_ends, (str(tmp_path), name, 2.0)).key()}.npz"
+        for name in (f"unit{i}" for i in range(UNITS))
+    ]
+
     def done():
-        return len(list((tmp_path / "units").glob("*.npz")))
+        return sum(file.is_file() for file in results)
+
+    def done_runs():
+        """Runs of each unit that has a result."""
+        return {i: runs(tmp_path, f"unit{i}") for i, file in enumerate(results) if file.is_file()}
 
     def counts():
         return [runs(tmp_path, f"unit{i}") for i in range(UNITS)]
@@ -83,23 +94,27 @@ def test_killed_workers_node_and_driver_lose_no_unit_and_repeat_none_that_is_don
     # A worker process, in the middle of a unit.
     wait_until(lambda: done() >= 2 and sum(counts()) > done(), driver)
     running = max(i for i, count in enumerate(counts()) if count)
+    at_kills = [done_runs()]
     os.kill(pids(running)[-1], signal.SIGKILL)
     wait_until(lambda: done() >= 5, driver)
     # The driver.
     driver.kill()
     driver.wait()
     time.sleep(1.0)
-    before, counted = done(), counts()
+    at_kills.append(done_runs())
+    before = len(at_kills[-1])
     assert 5 <= before < UNITS
     driver = start()
     wait_until(lambda: done() >= before + 2, driver)
     # A node.
+    at_kills.append(done_runs())
     cluster.remove_node(cluster.workers[0], allow_graceful=False)
     assert driver.wait(timeout=400) == 0, driver.stderr.read()
     assert done() == UNITS
     after = counts()
     assert min(after) >= 1
-    # Repeated are at most the unit of the worker, two of the driver and one of the node.
-    print("runs of each unit:", after, "at the driver's end:", counted, "done then:", before)
-    assert sum(after) - UNITS <= 4
-    assert sum(after) > UNITS  # the kills hit something
+    # What had a result when something was killed never ran again.
+    for done_then in at_kills:
+        assert done_then == {i: after[i] for i in done_then}
+    # What was at work did: at most the unit of the worker, two of the driver and one of the node.
+    assert UNITS < sum(after) <= UNITS + 4
