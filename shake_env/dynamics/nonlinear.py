@@ -320,6 +320,35 @@ class NonlinearDynamics:
         both = xp.stack(outputs, axis=-2)
         return PeriodResponse(state, both[..., 0], both[..., 1])
 
+    def control_periods(self, state: FloatArray, current: FloatArray) -> PeriodResponse:
+        """Advance by P control periods under commands that do not depend on what the tables do.
+
+        Parameters
+        ----------
+        state
+            (N, m + commands) at the start, see `control_step`.
+        current
+            (P, N) command [A] of each period.
+
+        Returns
+        -------
+        PeriodResponse
+            With a leading axis of P: the states at each period's end and the outputs in it.
+        """
+        if numba_support.COMPILED:
+            step = self._compiled
+            if step is not None and step.fits(state, current[0]):
+                return PeriodResponse(*step.periods(state, current))
+        periods = []
+        for command in current:
+            periods.append(self.control_step(state, command))
+            state = periods[-1].state
+        return PeriodResponse(
+            np.stack([period.state for period in periods]),
+            np.stack([period.table_acceleration for period in periods]),
+            np.stack([period.base_shear for period in periods]),
+        )
+
 
 def commands_under_way(delay: float, substeps: int) -> int:
     """Return how many earlier commands can still be on their way."""

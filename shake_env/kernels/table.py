@@ -51,12 +51,12 @@ def given(dimensions: int) -> types.Array:
     return types.Array(float64, dimensions, "A", readonly=True)
 
 
-RANKS = (2, 1, 3, 3, 3, 3, 2, 1, 3)  # of state to arrival
-_made = float64[:, ::1]
+RANKS = (2, 2, 3, 3, 3, 3, 2, 1, 3)  # of state to arrival
+_made = float64[:, :, ::1]
 
 
 def _cached(number: int) -> Any:
-    """Return the update of N tables as numba keeps it on disk, for sources of this `stamp`."""
+    """Return the update of N tables over some periods as numba keeps it, for sources of this `stamp`."""
 
     # A signature of its own, so that this compiles once, for arrays of any layout.
     @njit(
@@ -93,6 +93,7 @@ def _cached(number: int) -> Any:
         y, later, sampled = np.empty((order, width)), np.empty((inputs, width)), np.empty((2, width))
         response = np.empty((2 * substeps, width))
         arriving, friction, rate = np.empty((substeps, width)), np.empty(width), np.empty((3, width))
+        queue = np.empty((commands + 1, width))  # commands under way, oldest first, and the period's own
         none = lanes - lanes  # a zero that is no literal: for one the helpers would be compiled again
         for first in range(0, lanes, width):
             w = min(width, lanes - first)
@@ -109,26 +110,31 @@ def _cached(number: int) -> Any:
                 friction[n] = coulomb[lane if len(coulomb) > 1 else 0]
                 for i in range(3):
                     rate[i, n] = valve[lane if len(valve) > 1 else 0, i]
-                picks = arrival[lane if len(arrival) > 1 else 0]
-                for j in range(substeps):
-                    arriving[j, n] = picks[j, commands] * command[lane]
-                    for i in range(commands):
-                        arriving[j, n] += picks[j, i] * state[lane, order + i]
-            follow(
-                x, y, later, sampled, arriving, transition, change, outputs, v, s, friction, rate,
-                response, w,
-            )  # fmt: skip
-            for n in range(w):
-                lane = first + n
-                for i in range(order):
-                    moved[lane, i] = x[i, n]
-                for j in range(substeps):
-                    acceleration[lane, j] = response[j, n]
-                    shear[lane, j] = response[substeps + j, n]
                 for i in range(commands):
-                    moved[lane, order + i] = (
-                        state[lane, order + i + 1] if i + 1 < commands else command[lane]
-                    )
+                    queue[i, n] = state[lane, order + i]
+            for t in range(len(command)):
+                for n in range(w):
+                    lane = first + n
+                    queue[commands, n] = command[t, lane]
+                    picks = arrival[lane if len(arrival) > 1 else 0]
+                    for j in range(substeps):
+                        arriving[j, n] = picks[j, commands] * queue[commands, n]
+                        for i in range(commands):
+                            arriving[j, n] += picks[j, i] * queue[i, n]
+                follow(
+                    x, y, later, sampled, arriving, transition, change, outputs, v, s, friction, rate,
+                    response, w,
+                )  # fmt: skip
+                for n in range(w):
+                    lane = first + n
+                    for i in range(order):
+                        moved[t, lane, i] = x[i, n]
+                    for j in range(substeps):
+                        acceleration[t, lane, j] = response[j, n]
+                        shear[t, lane, j] = response[substeps + j, n]
+                    for i in range(commands):
+                        queue[i, n] = queue[i + 1, n]
+                        moved[t, lane, order + i] = queue[i, n]
         return number
 
     return step_tables
@@ -190,15 +196,29 @@ class CompiledStep:
         self, state: FloatArray, current: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the state, y_A (..., k) and f_s (..., k) of one control period."""
-        rows = state.reshape(-1, state.shape[-1])
-        lanes, substeps = len(rows), self.arrival.shape[1]
-        moved = np.empty(rows.shape)
-        acceleration, shear = np.empty((lanes, substeps)), np.empty((lanes, substeps))
+        moved, acceleration, shear = self.periods(
+            state.reshape(-1, state.shape[-1]), current.reshape(1, -1)
+        )
+        steps = (*state.shape[:-1], acceleration.shape[-1])
+        return moved.reshape(state.shape), acceleration.reshape(steps), shear.reshape(steps)
+
+    def periods(
+        self, state: FloatArray, current: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the states (P, N, ...), y_A (P, N, k) and f_s (P, N, k) of P periods in one call.
+
+        Parameters
+        ----------
+        state
+            (N, m + commands) at the start.
+        current
+            (P, N) command of each period [A].
+        """
+        (lanes, states), substeps, number = state.shape, self.arrival.shape[1], len(current)
+        moved = np.empty((number, lanes, states))
+        acceleration, shear = np.empty((2, number, lanes, substeps))
         _step(
-            rows, current.reshape(-1), self.advance, self.slope, self.C, self.D, self.valve,
+            state, current, self.advance, self.slope, self.C, self.D, self.valve,
             self.coulomb, self.arrival, self.values, self.on, moved, acceleration, shear,
         )  # fmt: skip
-        if state.ndim == 2:
-            return moved, acceleration, shear
-        steps = (*state.shape[:-1], substeps)
-        return moved.reshape(state.shape), acceleration.reshape(steps), shear.reshape(steps)
+        return moved, acceleration, shear

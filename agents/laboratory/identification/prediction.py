@@ -23,6 +23,8 @@ from shake_env.model.plant import CoupledPlant
 from shake_env.scenario.observation import STATE_SIGNALS
 from shake_env.scenario.scenario import Scenario
 
+PERIODS = 256  # simulated in one call: bounds what N tables' states take of memory
+
 
 @dataclass(frozen=True)
 class Predicted:
@@ -74,27 +76,31 @@ def predicted(
         state[:, 4 : 4 + n] = floors * scale[:, 4 : 4 + n]
     energy, force, drift = np.zeros(lanes), np.zeros(lanes), state[:, 4] / scale[:, 4]
     readings = np.empty((lanes, len(current), len(channels)))
-    command = np.empty(lanes)
     with np.errstate(over="ignore", invalid="ignore"):  # a table that diverges fits nothing
-        for t, value in enumerate(current):
-            command[:] = value
-            response = dynamics.control_step(state, command)
-            state = response.state
+        for begin in range(0, len(current), PERIODS):
+            periods = slice(begin, begin + PERIODS)
+            commands = np.repeat(current[periods, None], lanes, axis=1)
+            response = dynamics.control_periods(state, commands)
+            states, shear = response.state, response.base_shear[..., -1]
+            state = states[-1]
             if yielding.active:
-                now = response.base_shear[:, -1], state[:, 4] / scale[:, 4]
-                energy += 0.5 * (force + now[0]) * (now[1] - drift)
-                force, drift = now
+                forces = np.concatenate([force[None], shear])
+                drifts = np.concatenate([drift[None], states[..., 4] / scale[:, 4]])
+                energy += np.sum(0.5 * (forces[1:] + forces[:-1]) * np.diff(drifts, axis=0), axis=0)
+                force, drift = forces[-1], drifts[-1]
             for c, place in enumerate(columns):
                 if place >= 0:
-                    readings[:, t, c] = state[:, place]
+                    column = states[..., place]
                 elif place == _ACCELERATION:
-                    readings[:, t, c] = response.table_acceleration[:, -1]
+                    column = response.table_acceleration[..., -1]
                 elif place == _SHEAR:
-                    readings[:, t, c] = response.base_shear[:, -1]
+                    column = shear
                 else:
                     assert rows is not None  # a floor is asked for
-                    storeys = state[:, 4 : 4 + rows.shape[-1]] / scale[:, 4 : 4 + rows.shape[-1]]
-                    readings[:, t, c] = np.sum(rows[:, _FLOORS - place] * storeys, axis=-1)
+                    width = rows.shape[-1]
+                    storeys = states[..., 4 : 4 + width] / scale[:, 4 : 4 + width]
+                    column = np.sum(rows[:, _FLOORS - place] * storeys, axis=-1)
+                readings[:, periods, c] = column.T
         for c, place in enumerate(columns):
             if place >= 0:
                 readings[:, :, c] /= scale[:, place, None]

@@ -64,6 +64,24 @@ def test_compiled_and_reference_agree(parts, stories, substeps, delay, lanes, se
             break  # diverged: beyond where an episode ends
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("lanes", [None, BLOCK + 7])
+@pytest.mark.parametrize("delay", [0, 7])
+def test_periods_in_one_call_are_periods_one_by_one(delay, lanes, compiled, monkeypatch):
+    monkeypatch.setattr(numba_support, "COMPILED", compiled)
+    dynamics = dynamics_of(EVERYTHING, 2, 5, delay, lanes)
+    rng = np.random.default_rng(2)
+    state = 0.1 * rng.normal(size=(BLOCK + 7, dynamics.states)) * scale_of(dynamics, 2)
+    current = rng.normal(0.0, 0.02, (6, len(state)))
+    together = dynamics.control_periods(state, current)
+    for period, command in enumerate(current):
+        alone = dynamics.control_step(state, command)
+        state = alone.state
+        np.testing.assert_array_equal(together.state[period], state)
+        np.testing.assert_array_equal(together.table_acceleration[period], alone.table_acceleration)
+        np.testing.assert_array_equal(together.base_shear[period], alone.base_shear)
+
+
 @pytest.mark.parametrize("lanes", [None, BLOCK + 7])
 def test_a_lane_does_not_depend_on_its_batch(lanes):
     dynamics = dynamics_of(EVERYTHING, 2, 5, 2, lanes)
