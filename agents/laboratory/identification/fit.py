@@ -114,7 +114,7 @@ def _global(likelihood: Likelihood, prior: Prior, seed: int) -> Fit:
     """Return the best optimum from several starts, with a small share of discrepancy.
 
     Logs of a weak shake have several optima: a light specimen on soft storeys answers the same below its
-    first mode. Starts are the most probable draws of the prior, until the best optimum was reached twice.
+    first mode. Starts are the most probable draws of the prior, until the best was reached twice.
     """
     # A discrepancy that is estimated where the parameters are still off would explain that, and stay:
     # first the model is trusted, as far as it goes.
