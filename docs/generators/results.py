@@ -76,8 +76,10 @@ def compared_tables() -> str | None:
                 f"`{row['controller']}`",
                 row["information"],
                 f"{row['relative_cost']:.3g}",
-                f"{100 * row['acceleration_rms_error']:.2g}",
-                f"{100 * row['base_shear_rms_error']:.2g}",
+                *(
+                    f"{float(f'{100 * row[error]:.2g}'):g}"
+                    for error in ("acceleration_rms_error", "base_shear_rms_error")
+                ),
                 str(row["broken_limits"]),
             ))  # fmt: skip
     head = (
