@@ -2,9 +2,12 @@
 
     python benchmarks/execution.py overhead local ray submitit
     python benchmarks/execution.py campaign local ray submitit
+    python benchmarks/execution.py efficiency local
 
 ``overhead``: 1000 units of 10 ms on two workers. ``campaign``: four small configurations of three seeds
 each by every engine; their result files must be equal byte for byte but for times and paths.
+``efficiency``: eight paired PPO runs in the laboratory, of the catalogue's settings but short, by one
+worker and by two; and what a run's folder holds.
 """
 
 from __future__ import annotations
@@ -25,9 +28,9 @@ UNITS, SECONDS, WORKERS = 1000, 0.01, 2
 TIMES = ("seconds", "run", "code")  # what differs between two runs of one configuration
 
 
-def options(engine: str, folder: Path) -> ExecutionOptions:
+def options(engine: str, folder: Path, workers: int = WORKERS) -> ExecutionOptions:
     slurm = ("timeout_min=60",) if engine == "submitit" else ()
-    return ExecutionOptions(executor=engine, processes=WORKERS, units=folder, slurm=slurm)  # type: ignore[arg-type]
+    return ExecutionOptions(executor=engine, processes=workers, units=folder, slurm=slurm)  # type: ignore[arg-type]
 
 
 def overhead(engine: str) -> dict[str, Any]:
@@ -115,14 +118,48 @@ def campaign(engine: str) -> dict[str, Any]:
         return {"engine": engine, "wall_s": time.perf_counter() - began, "digests": digests(folder)}
 
 
+def efficiency(engine: str) -> dict[str, Any]:
+    """Wall time of a campaign by one worker over twice that by two, and the size of a run's folder."""
+    from agents.experiments.catalogue import EXPERIMENTS
+    from agents.experiments.runner import Campaign, plan
+
+    (real,) = (each for each in EXPERIMENTS if each.name == "laboratory/ppo")
+    batch = real.config.ppo.n_steps * real.config.ppo.n_envs
+    short = replace(real.config, total_timesteps=4 * batch, evaluations=2)
+    walls, sizes = [], {}
+    with tempfile.TemporaryDirectory() as name:
+        for workers in (1, 2):
+            folder = Path(name) / f"campaign-{workers}"
+            tasks = plan([replace(real, config=short, seeds=8)], folder)
+            began = time.perf_counter()
+            with options(engine, Path(name), workers).open_executor() as executor:
+                Campaign(tasks).run(executor)
+            walls.append(time.perf_counter() - began)
+            assert all(task.state == "done" for task in tasks), [task.failure for task in tasks]
+        run = next(folder.glob("*/*/0"))
+        for file in sorted(run.rglob("*")):
+            if file.is_file():
+                sizes[str(file.relative_to(run))] = file.stat().st_size
+    return {
+        "engine": engine,
+        "one_worker_s": round(walls[0], 1),
+        "two_workers_s": round(walls[1], 1),
+        "efficiency": round(walls[0] / (2.0 * walls[1]), 3),
+        "run_bytes": sizes,
+    }
+
+
+MEASURES = {"overhead": overhead, "campaign": campaign, "efficiency": efficiency}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=["overhead", "campaign"])
+    parser.add_argument("what", choices=sorted(MEASURES))
     parser.add_argument("engines", nargs="+", choices=["local", "ray", "submitit"])
     arguments = parser.parse_args()
     rows = []
     for engine in arguments.engines:
-        rows.append((overhead if arguments.what == "overhead" else campaign)(engine))
+        rows.append(MEASURES[arguments.what](engine))
         print(json.dumps(rows[-1]), flush=True)
     if arguments.what == "campaign":
         assert all(row["digests"] == rows[0]["digests"] for row in rows), "the engines differ"
