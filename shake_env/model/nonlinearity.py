@@ -103,6 +103,20 @@ class ServoValve:
     def __post_init__(self) -> None:
         check_ranges(self)
 
+    def with_pilot_stage(self, time_constant: float) -> ServoValve:
+        """Return this valve at second order: poles at ``1/T_v`` and, its pilot stage's, ten times that.
+
+        Parameters
+        ----------
+        time_constant
+            T_v [s] of the actuator's first-order valve.
+        """
+        return replace(
+            self,
+            natural_frequency=math.sqrt(10.0) / (2.0 * math.pi * time_constant),
+            damping_ratio=11.0 / (2.0 * math.sqrt(10.0)),
+        )
+
     @property
     def rated(self) -> float:
         """Supply pressure [Pa] that the flow gain belongs to."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -104,13 +103,10 @@ def field() -> Scenario:
     """
     table = laboratory()
     nominal, parts = table.actuator, table.nonlinearity
-    # Poles at 1 / T_v, the first-order valve's, and at ten times that, its pilot stage's.
-    frequency = math.sqrt(10.0) / (2.0 * math.pi * nominal.valve_time_constant)
-    damping = 11.0 / (2.0 * math.sqrt(10.0))
     friction = replace(parts.friction, static=1.4 * parts.friction.coulomb)
-    valve = replace(
-        parts.valve, natural_frequency=frequency, damping_ratio=damping, supply_sag=FIELD_SAG
-    )
+    valve = replace(parts.valve.with_pilot_stage(nominal.valve_time_constant), supply_sag=FIELD_SAG)
+    frequency = valve.natural_frequency
+    assert frequency is not None  # the pilot stage's
     sensors = tuple(_in_the_field(sensor) for sensor in table.sensing.sensors or ())
     specimen = table.specimen.uniform_values(nominal.table_mass)
 

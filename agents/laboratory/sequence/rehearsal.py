@@ -70,12 +70,9 @@ def hidden_truth(scenario: Scenario, stream: np.random.Generator, *, wider: bool
     parts, supply = truth.nonlinearity, truth.nonlinearity.valve.supply_pressure
     coulomb = parts.friction.coulomb
     friction = replace(parts.friction, static=coulomb * stream.uniform(*STICTION))
-    damping = parts.valve.damping_ratio
     valve = replace(
-        parts.valve,
+        parts.valve.with_pilot_stage(truth.actuator.valve_time_constant),
         supply_pressure=supply * stream.uniform(*SAG),
-        # The same delay at low frequencies as the first-order valve: 2 zeta / omega = T_v.
-        natural_frequency=damping / (np.pi * truth.actuator.valve_time_constant),
     )
     sensors = tuple(replace(s, bias=BIAS * s.bias) for s in truth.sensing.sensors or ())
     # Yielding storeys are no matrices: they keep their dampers.
