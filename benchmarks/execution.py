@@ -13,8 +13,11 @@ worker and by two; and what a run's folder holds.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import hashlib
+import importlib.metadata
 import json
+import os
 import tempfile
 import time
 from dataclasses import replace
@@ -23,9 +26,19 @@ from typing import Any
 
 from agents.execution.options import ExecutionOptions
 from agents.execution.units import Unit, UnitRunner
+from shake_env.files import write_json
 
 UNITS, SECONDS, WORKERS = 1000, 0.01, 2
 TIMES = ("seconds", "run", "code")  # what differs between two runs of one configuration
+
+
+def versions() -> dict[str, str]:
+    """Versions of the engines that are installed."""
+    present = {}
+    for name in ("ray", "submitit"):
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            present[name] = importlib.metadata.version(name)
+    return present
 
 
 def options(engine: str, folder: Path, workers: int = WORKERS) -> ExecutionOptions:
@@ -156,11 +169,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=sorted(MEASURES))
     parser.add_argument("engines", nargs="+", choices=["local", "ray", "submitit"])
+    parser.add_argument("--output", type=Path, help="JSON file that the figures are added to")
     arguments = parser.parse_args()
-    rows = []
+    rows: list[dict[str, Any]] = []
     for engine in arguments.engines:
         rows.append(MEASURES[arguments.what](engine))
         print(json.dumps(rows[-1]), flush=True)
+    if arguments.output is not None:
+        file = arguments.output
+        content = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+        write_json(
+            file, content | {arguments.what: rows, "cores": os.cpu_count(), "versions": versions()}
+        )
     if arguments.what == "campaign":
         assert all(row["digests"] == rows[0]["digests"] for row in rows), "the engines differ"
         assert len(rows[0]["digests"]) == 12

@@ -26,6 +26,7 @@ from shake_env.scenario.scenario_writer import SCHEMA_FILE  # noqa: E402
 
 SB3_GUIDE = DOCS / "howto" / "train_with_sb3.md"
 TRAINING = DOCS / "training.md"
+CLUSTER = DOCS / "howto" / "cluster.md"
 
 
 def pages() -> dict[Path, str]:
@@ -39,6 +40,7 @@ def pages() -> dict[Path, str]:
         ROOT / "shake_env" / "scenario" / SCHEMA_FILE: json.dumps(scenario_schema(), indent=1) + "\n",
         ROOT / "README.md": with_block(ROOT / "README.md", "headline", results.headline()),
         SB3_GUIDE: with_block(SB3_GUIDE, "sb3 guide", results.sb3_guide()),
+        CLUSTER: with_block(CLUSTER, "execution figures", results.execution_figures()),
         TRAINING: with_block(TRAINING, "gradient noise", results.gradient_noise()),
     }
     for page, place, text in (

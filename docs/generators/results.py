@@ -145,3 +145,23 @@ def gradient_noise() -> str:
     ]
     heading = ("advantage", "share of one action", "cosine", "of the exact gradient", "samples for 1")
     return table(heading, rows)
+
+
+def execution_figures() -> str:
+    """Return what engines add to a unit, from ``results/execution.json``."""
+    result = json.loads((DOCS / "results" / "execution.json").read_text(encoding="utf-8"))
+    rows = [
+        (
+            f"`{row['engine']}`",
+            f"{row['wall_s']:.2f}",
+            f"{row['overhead_ms_a_unit']:.1f}",
+            f"{row['start_s']:.1f}",
+            f"{other['wall_s']:.0f}",
+        )
+        for row, other in zip(result["overhead"], result["campaign"], strict=True)
+    ]
+    head = (
+        "engine", "1000 units of 10 ms [s] (5.0 without loss)", "overhead a unit [ms]", "start [s]",
+        "campaign of 12 short runs [s]",
+    )  # fmt: skip
+    return table(head, rows)

@@ -51,7 +51,8 @@ def given(dimensions: int) -> types.Array:
     return types.Array(float64, dimensions, "A", readonly=True)
 
 
-RANKS = (2, 2, 3, 3, 3, 3, 2, 1, 3)  # of state to arrival
+RANKS = (2, 1, 3, 3, 3, 3, 2, 1, 3)  # of state to arrival, in one period
+OF_PERIODS = (2, 2, *RANKS[2:])  # the same, with a command for each period and table
 _made = float64[:, :, ::1]
 
 
@@ -60,7 +61,7 @@ def _cached(number: int) -> Any:
 
     # A signature of its own, so that this compiles once, for arrays of any layout.
     @njit(
-        int64(*map(given, RANKS), float64[::1], int64[::1], _made, _made, _made),
+        int64(*map(given, OF_PERIODS), float64[::1], int64[::1], _made, _made, _made),
         cache=True,
         error_model="numpy",
         nogil=True,
