@@ -86,7 +86,7 @@ def _of_file(entry: TunedEntry, tuned: TunedValues, where: str) -> ParameterValu
 
 
 def tuned_parameters(name: str, scenario: Scenario) -> dict[str, float]:
-    """Return what comes with the package for a controller on exactly this scenario; {}: nothing."""
+    """Return the package's tuned values of a controller on exactly this scenario; {}: none."""
     return dict(parameter_values(name, scenario).parameters)
 
 
@@ -119,7 +119,7 @@ def make_baseline(
     name = renamed("controller", name, CONTROLLERS)
     baseline = baseline_of(name, scenario)
     chosen = parameter_values(name, scenario).parameters if parameters is None else parameters
-    return designed(name, baseline, scenario, chosen, earthquakes)
+    return designed_controller(name, baseline, scenario, chosen, earthquakes)
 
 
 def baseline_of(name: str, scenario: Scenario) -> Baseline:
@@ -137,7 +137,7 @@ def baseline_of(name: str, scenario: Scenario) -> Baseline:
     return BASELINES[name]
 
 
-def designed(
+def designed_controller(
     name: str,
     baseline: Baseline,
     scenario: Scenario,

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.evaluation.bootstrap import _interval, _mean, _ratio
 from agents.evaluation.bound_store import Bounds, earthquake_bounds
 from agents.evaluation.controller_set import get_controllers, require_names
 from agents.evaluation.fidelity import Fidelity, fidelity
 from agents.evaluation.latency import decision_time
 from agents.evaluation.results import Comparison, GroupSummary
+from agents.evaluation.statistics import _interval, _mean, _ratio
 from agents.evaluation.tracking import TrackingFigures, tracking_figures
 from agents.policies.registry import ORACLE, find_controller, get_driven, information_of
-from agents.run_directory import described
+from agents.run_directory import names_in_words
 from agents.seeds import COMPARISON_SEED
 from baselines.information import scenario_information
 from baselines.iterative.drive_file import DriveFile
@@ -167,7 +167,7 @@ def compare(
     of_each = [group for group, members in groups.items() for _ in members]
     return Comparison(
         summaries, episodes, fidelities, traces, reference, name, chosen.skipped, shares, of_each,
-        chosen.values, [*chosen.warnings, *repeats(earthquakes)], tracking, bounds,
+        chosen.values, [*chosen.warnings, *repeated_motions(earthquakes)], tracking, bounds,
         scenario_information(scenario), scenario.input_unit, tuple(events),
     )  # fmt: skip
 
@@ -193,7 +193,7 @@ def _over_bound(
     }
 
 
-def repeats(earthquakes: Sequence[Earthquake]) -> list[str]:
+def repeated_motions(earthquakes: Sequence[Earthquake]) -> list[str]:
     """Return a sentence that names the recorded motions which repeat another one; empty: none does."""
     first: dict[Any, str] = {}
     copies = []
@@ -211,7 +211,7 @@ def repeats(earthquakes: Sequence[Earthquake]) -> list[str]:
         return []
     number = len(first) + len(copies)
     return [
-        f"of {number} recorded motions {len(first)} are distinct ({described(copies)}): "
+        f"of {number} recorded motions {len(first)} are distinct ({names_in_words(copies)}): "
         "copies count in means and make intervals too narrow"
     ]
 

@@ -28,7 +28,7 @@ def design(
     tuned: TunedValues | None = None,
     tell: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
-    """Return what a scenario's controller is expected to give, and its full-state LQR, as plain values.
+    """Return a controller's expected errors and its full-state LQR, as `shake design` shows them.
 
     The controller is the scenario's reference (`baselines.registry.reference_name`). Where theory gives
     its performance exactly it is calculated; else it is simulated on the scenario's own motion.

@@ -14,7 +14,7 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.servo.signals import as_action, recall
+from baselines.servo.signals import as_action, controller_memory
 from shake_env.errors import ParameterError, ScenarioError, unknown
 from shake_env.model.discretization import DiscretePlant, DiscreteStateSpace
 from shake_env.model.parameters import FloatArray
@@ -73,7 +73,7 @@ def _in_units(
 
 
 def state_names(plant: CoupledPlant) -> list[str]:
-    """Return the state names in a form that python-control takes: without units, blanks and primes."""
+    """Return state names in a form that python-control takes: without units, blanks and primes."""
     bare = (name.split(" [")[0] for name in plant.layout.names)
     return [name.replace("'", "_dot").replace(" ", "_") for name in bare]
 
@@ -134,14 +134,14 @@ class ControlLaw:
     ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
         """Return the action (..., 1) for an observation (..., n), and the law's states in a tuple."""
         law = self._law
-        x = recall(state, episode_start, observation.shape[:-1], law.order)
+        x = controller_memory(state, episode_start, observation.shape[:-1], law.order)
         y = observation.astype(np.float64) @ self._rows
         current = (x @ law.C.T + y @ law.D.T)[..., 0]
         return as_action(current, self._limit), (x @ law.A.T + y @ law.B.T,)
 
 
 def signal_rows(scenario: Scenario, names: Sequence[str]) -> FloatArray:
-    """Return rows (signals, n) that take signals in SI from an observation (n,).
+    """Return rows (signals, n) that take signals in SI from an observation (n,), for python-control.
 
     Raises
     ------

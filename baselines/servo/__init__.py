@@ -20,7 +20,7 @@ __getattr__, __all__ = names_of(
         "pid": ("PIDRule",),
         "signals": (
             "as_action",
-            "recall",
+            "controller_memory",
         ),
         "tvc": ("TVCDesign",),
     },

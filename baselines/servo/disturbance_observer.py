@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.servo.output_feedback import NominalTable
-from baselines.servo.signals import ACCELERATION, VELOCITY, Memory, SignalReader, recall
+from baselines.servo.signals import ACCELERATION, VELOCITY, Memory, SignalReader, controller_memory
 from shake_env.controller import Controller, decide
 from shake_env.errors import ParameterError
 from shake_env.model.parameters import FloatArray, is_number, require_positive
@@ -53,8 +53,8 @@ def dead_periods(scenario: Scenario) -> float:
     return scenario.delay / scenario.substeps + 0.5
 
 
-def mismatch(scenario: Scenario, frequency: FloatArray) -> FloatArray:
-    """Return ``|1 - G / G_n|`` of the nominal table at `frequency` (f,) [Hz]."""
+def model_mismatch(scenario: Scenario, frequency: FloatArray) -> FloatArray:
+    """Return ``|1 - G / G_n|`` of the disturbance observer's model at `frequency` (f,) [Hz]."""
     table, s = NominalTable.of(scenario), 2j * math.pi * frequency
     lag = scenario.actuator.valve_time_constant
     # The samples of the response are those at the period's ends; the command's are at their starts.
@@ -69,7 +69,7 @@ def observer_corner(scenario: Scenario, design: ObserverDesign) -> float:
     if design.corner is not None:
         return design.corner
     frequency = np.geomspace(0.05, 0.5 * scenario.control_rate, 4000)
-    missed = mismatch(scenario, frequency)
+    missed = model_mismatch(scenario, frequency)
     worst = np.array([np.max(missed / (1.0 + (frequency / c) ** 2)) for c in CORNERS])
     allowed = CORNERS[worst <= design.margin]
     return float(allowed[-1]) if len(allowed) else float(CORNERS[0])
@@ -122,7 +122,7 @@ class DisturbanceObserver:
         own, lead = self._reader.memory_size, observation.shape[:-1]
         mine = None if state is None else state[:1]
         inner = None if state is None else state[1]
-        memory = recall(mine, episode_start, lead, own + 2 + len(self._arrivals))
+        memory = controller_memory(mine, episode_start, lead, own + 2 + len(self._arrivals))
         signals, read = self._reader.read(observation, memory[..., :own])
         first, second, past = memory[..., own], memory[..., own + 1], memory[..., own + 2 :]
         if self._shown.sensing.last_action:  # what was given, which a supervisor may have changed

@@ -86,7 +86,7 @@ class UltimatePoint:
 
 
 def ultimate_point(scenario: Scenario, pressure: float = 0.0) -> UltimatePoint:
-    """Return the ultimate gain of the nominal displacement loop, sampled and delayed as it is.
+    """Return the ultimate gain of the nominal PID displacement loop, sampled and delayed as it is.
 
     Raises
     ------
@@ -182,6 +182,6 @@ def pid(scenario: Scenario, gains: PIDGains | None = None) -> OutputFeedback:
 
 
 def acceleration_response(scenario: Scenario, gains: PIDGains, frequency: FloatArray) -> FloatArray:
-    """Return the amplitude of y_A over y~ of the nominal loop at `frequency` (f,) [Hz]."""
+    """Return the amplitude of y_A over y~ of the nominal PID loop at `frequency` (f,) [Hz]."""
     loop = SampledClosedLoop(NominalTable.of(scenario), pid_law(gains, scenario.control_period))
     return np.abs(loop.response(frequency))

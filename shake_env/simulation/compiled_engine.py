@@ -30,7 +30,7 @@ from shake_env.simulation.engine import (
 from shake_env.simulation.helper_thread import Helpers
 from shake_env.simulation.motion_shapes import first_target, initial_filter_state
 from shake_env.simulation.output_pool import OutputPool
-from shake_env.simulation.table_records import LINE, TableRecords, aligned
+from shake_env.simulation.table_records import LINE, TableRecords, aligned_zeros
 from shake_env.simulation.transition import Outcome
 
 PIECES = 4  # of the tables for each thread
@@ -193,7 +193,7 @@ class CompiledEngine(TableRecords):
         taken.
         """
         rows, block = self._packed.rows, self._block
-        record = aligned(self._records[number].shape)
+        record = aligned_zeros(self._records[number].shape)
         record[:] = self._records[number]
         wholes = record.view(np.int64)
         record[rows["state"].start :, columns] = 0.0

@@ -25,7 +25,7 @@ BEHIND = 32  # numbers behind those of a table alone, which it reads and never u
 MOST_REPEATED = 16  # a whole exponent up to which a power is repeated multiplication
 
 
-def up(count: int, multiple: int) -> int:
+def rounded_up(count: int, multiple: int) -> int:
     """Return the next multiple of a whole number, or the number itself if it is one."""
     return -(-count // multiple) * multiple
 
@@ -49,7 +49,7 @@ class Packed:
 
 
 def pack(tables: Tables, block: int) -> Packed:
-    """Lay out the tables of a scenario in blocks of 1 or more."""
+    """Lay out a scenario's tables for the compiled engine, in blocks of 1 or more."""
     sizes = _sizes(tables)
     rows, record_rows = _slices(_field_rows(tables, sizes, block), FIELDS)
     sources = _sources(tables, sizes, rows)
@@ -57,7 +57,7 @@ def pack(tables: Tables, block: int) -> Packed:
     room, room_rows = _slices(_room_rows(sizes, block), ROOM)
     numbers, vectors = _numbers(tables, sizes)
     places, start = {}, 0
-    for name, matrix in matrices(tables).items():
+    for name, matrix in packed_matrices(tables).items():
         places[name] = (start, int(np.prod(matrix.shape[-2:])))
         start += places[name][1]
     return Packed(
@@ -75,7 +75,7 @@ def pack(tables: Tables, block: int) -> Packed:
     )
 
 
-def matrices(tables: Tables, lanes: Any = None) -> dict[str, FloatArray]:
+def packed_matrices(tables: Tables, lanes: Any = None) -> dict[str, FloatArray]:
     """Return each matrix, (rows, columns) or one a table, in the order of `layout.MATRICES`.
 
     Where each table has its own, of all, or of the tables `lanes` alone.
@@ -173,7 +173,7 @@ def _sizes(tables: Tables) -> dict[str, int]:
         "reference": ground.reference,
         "drive": ground.drive,
         "width": ground.width,
-        "stride": up(ground.width, 8),
+        "stride": rounded_up(ground.width, 8),
         "slots": ahead + 1,
         "ahead": ahead,
         "rank": draws // k,
@@ -203,7 +203,7 @@ def _field_rows(tables: Tables, sizes: Mapping[str, int], block: int) -> dict[st
         "floors": sizes["storeys_seen"],
         "bias": s,
         "gain": s,
-        "noise": up(s, 16 if block == 1 else 4),
+        "noise": rounded_up(s, 16 if block == 1 else 4),
         "reading": s,
         "past": sizes["history"],
         "slipping": 3 * sizes["stories"] * yields,
@@ -216,16 +216,16 @@ def _room_rows(sizes: Mapping[str, int], block: int) -> dict[str, int]:
     """Return how many rows of room each product and function needs."""
     order, k, n, columns = sizes["order"], sizes["substeps"], sizes["stories"], sizes["columns"]
     exogenous = sizes["filter"] + sizes["reference"]
-    drawn = exogenous + up(sizes["draws"], 16 if block == 1 else 4)
+    drawn = exogenous + rounded_up(sizes["draws"], 16 if block == 1 else 4)
     sums = (order + 2 * k, sizes["reference"] + k + sizes["drive"], 3 * n, sizes["storeys_seen"], k)
     return {
         "x": max(drawn, order + 1 + columns, 4 * n + 2),
-        "y": up(max(sums), 8),
-        "later": up(max(columns, n, 1), 8),
+        "y": rounded_up(max(sums), 8),
+        "later": rounded_up(max(columns, n, 1), 8),
         "outputs": 8,
-        "arriving": up(k, 8),
+        "arriving": rounded_up(k, 8),
         "samples": exogenous + k + 1,
-        "look": up(sizes["shown"], 16) // 2,
+        "look": rounded_up(sizes["shown"], 16) // 2,
     }
 
 

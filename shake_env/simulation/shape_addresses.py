@@ -11,7 +11,7 @@ from shake_env.kernels.layout import ONES
 from shake_env.model.parameters import FloatArray
 from shake_env.motion.targets import EpisodeMotion, FilteredNoise
 from shake_env.simulation.engine import IntArray, Tables
-from shake_env.simulation.motion_shapes import shape
+from shake_env.simulation.motion_shapes import motion_shape
 
 
 class ShapeAddresses:
@@ -38,7 +38,7 @@ class ShapeAddresses:
         return found
 
     def _add(self, motion: EpisodeMotion, used: set[int]) -> None:
-        array = shape(motion, self._discrete, self._ahead)
+        array = motion_shape(motion, self._discrete, self._ahead)
         assert array is not None  # the caller asked
         for other, number in list(self._numbers.items()):
             if number not in used and len(self._numbers) > 2 * len(used):

@@ -25,20 +25,20 @@ from agents.evaluation.robustness import (
     default_controllers,
     evaluate_perturbations,
     failed,
-    point,
     robustness,
+    without_nominal,
 )
 from agents.policies.policy_file import load_policy
 from agents.policies.registry import shipped_policy
 from agents.reporting.model_card import write_card
 from agents.reporting.robustness_figures import draw_robustness
 from agents.reporting.robustness_tables import (
-    at,
-    findings,
-    markdown,
+    point_at,
+    range_in_words,
     read_robustness,
-    section,
-    where,
+    robustness_findings,
+    robustness_markdown,
+    robustness_section,
     write_robustness,
 )
 from agents.scenario_options import ScenarioOptions
@@ -66,7 +66,7 @@ def test_lqr_of_one_specimen_under_another_costs_what_lyapunov_says(mass, freque
     gain = sampled_lqr(nominal.discrete, nominal.stage_cost).gain
     expected = stationary_performance(true.discrete, true.stage_cost, gain).cost
     quakes = noise_earthquakes(nominal, 24, 5_000_000)
-    (rows,) = perturbed(lqr(nominal), nominal, quakes, [point(nominal, values)])
+    (rows,) = perturbed(lqr(nominal), nominal, quakes, [without_nominal(nominal, values)])
     cost = np.array([row.cost for row in rows])
     # Chance: four standard errors. The start from rest, a second of forty, is smaller than these.
     error = cost.std(ddof=1) / np.sqrt(len(cost))
@@ -81,7 +81,7 @@ def test_what_is_not_changed_costs_what_shake_compare_says():
     names = ("lqg-dac", "apg")
     compared = compare(scenario, names, noise=3, records=False, seed=5_000_000)
     result = robustness(scenario, names, grid=Grid.of(scenario, ("amplitude",)), earthquakes=3)
-    unchanged = at(result)
+    unchanged = point_at(result)
     for name, rows in compared.episodes.items():
         # Side by side with seven other amplitudes a matrix product rounds otherwise.
         assert unchanged["cost"][name] == pytest.approx(np.mean([r.cost for r in rows]), rel=1e-4)
@@ -95,8 +95,8 @@ def test_a_cost_does_not_depend_on_what_else_is_swept():
     many = robustness(scenario, ("apg",), grid=more, earthquakes=2)
     for delay in (0.0, 1.0):
         for name in ("lqr", "apg"):
-            expected = at(few, delay=delay)["cost"][name]
-            assert at(many, delay=delay)["cost"][name] == pytest.approx(expected, rel=1e-5)
+            expected = point_at(few, delay=delay)["cost"][name]
+            assert point_at(many, delay=delay)["cost"][name] == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize("name", ["linear", "laboratory", "unknown-specimen", "yielding"])
@@ -159,8 +159,10 @@ def test_a_drawn_quantity_is_held_and_the_others_stay_drawn():
         for specimen, other in ((before, after),):
             one, two = (s.stiffnesses[0] / s.masses[0] for s in (specimen, other))
             assert one == pytest.approx(two)
-    assert point(scenario, {"mass_ratio": 0.55}) == (("mass_ratio", 0.55),)  # drawn: not as it is
-    assert point(scenario, {"delay": 2.5}) == ()
+    assert without_nominal(scenario, {"mass_ratio": 0.55}) == (
+        ("mass_ratio", 0.55),
+    )  # drawn: not as it is
+    assert without_nominal(scenario, {"delay": 2.5}) == ()
 
 
 def test_noise_on_a_state_is_white_and_each_lanes_own():
@@ -266,12 +268,12 @@ def test_the_command_writes_result_and_figures(small):
     for name in ("robustness_linear", "robustness_linear_maps"):
         assert (folder / f"{name}.png").stat().st_size > 5000
         assert (folder / f"{name}.svg").exists()
-    assert at(result, delay=1.0, coulomb_friction=300.0)["changes"] == {
+    assert point_at(result, delay=1.0, coulomb_friction=300.0)["changes"] == {
         "coulomb_friction": 300.0,
         "delay": 1.0,
     }
     with pytest.raises(ParameterError, match="not in the result"):
-        at(result, delay=1.23)
+        point_at(result, delay=1.23)
     again = folder / "copy.json"
     write_robustness(result, again)
     assert read_robustness(again) == result
@@ -306,15 +308,17 @@ def test_what_is_said_follows_from_the_numbers():
     result = made_up(
         {"lqr": [0, 0, 0], "mine": [0, 0, 2]}, {"lqr": [1.0, 1.0, 2.0], "mine": [0.9, 1.3, 99.0]}
     )
-    failures, dearer = findings(result, "mine")
+    failures, dearer = robustness_findings(result, "mine")
     assert re.findall(r"[\d.]*\d", failures) == ["2", "6", "2", "2"] and "loop delay" in failures
     assert re.findall(r"[\d.]*\d", dearer) == ["1", "1.30", "1"] and "loop delay" in dearer
     assert "lqr" in dearer
-    assert "| loop delay, 0 to 2 ms | 0 ms | 1.00 | 0.90 to 1.30; lost at 2 ms |" in markdown(result)
+    assert "| loop delay, 0 to 2 ms | 0 ms | 1.00 | 0.90 to 1.30; lost at 2 ms |" in robustness_markdown(
+        result
+    )
     good = made_up(
         {"lqr": [0, 0, 1], "mine": [0, 0, 0]}, {"lqr": [1.0, 1.0, 9.0], "mine": [0.9, 0.8, 0.7]}
     )
-    failures, dearer = findings(good, "mine")
+    failures, dearer = robustness_findings(good, "mine")
     assert re.findall(r"[\d.]*\d", failures) == ["6"] and "none" in failures  # of the tests
     assert re.findall(r"[\d.]*\d", dearer) == ["2"] and "delay" not in dearer  # 2 %: nowhere
 
@@ -330,13 +334,13 @@ def test_values_in_words():
         ("01001", "at 2 and at 5 ms"),
         ("00000", "nowhere"),
     ):
-        assert where(values, [c == "1" for c in chosen], "ms") == words
+        assert range_in_words(values, [c == "1" for c in chosen], "ms") == words
 
 
 def test_a_section_shows_the_table_and_what_was_found(small):
     _, result = small
-    text = section(result)
-    assert text.count("**apg.**") == 1 and markdown(result) in text
+    text = robustness_section(result)
+    assert text.count("**apg.**") == 1 and robustness_markdown(result) in text
 
 
 def test_a_card_says_where_its_policy_fails(small, tmp_path):
@@ -345,7 +349,7 @@ def test_a_card_says_where_its_policy_fails(small, tmp_path):
     file.write_bytes(shipped_policy("apg").read_bytes())
     write_card(file, robustness=folder / "robustness_linear.json")
     text = file.with_suffix(".md").read_text()
-    for sentence in findings(result, "apg"):
+    for sentence in robustness_findings(result, "apg"):
         assert f"- {sentence}" in text
     other = tmp_path / "other.safetensors"
     other.write_bytes(shipped_policy("ppo").read_bytes())
@@ -370,7 +374,7 @@ def test_a_report_shows_it(small, tmp_path, capsys):
     assert main([*words, "--report", str(tmp_path / "page"), "--json", "--robustness", file]) == 0
     page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
     assert page.count('<img src="data:image/png;base64,') == 2
-    assert findings(result, "apg")[0].replace("'", "&#x27;") in page
+    assert robustness_findings(result, "apg")[0].replace("'", "&#x27;") in page
     capsys.readouterr()
     other = ["--robustness", file, "--scenario", "laboratory"]
     for more, message in (

@@ -20,7 +20,7 @@ from agents.experiments.runner import Campaign, plan, plan_rows
 from agents.policies.base_law import base_law
 from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.policy_file import load_policy
-from agents.run_directory import locked
+from agents.run_directory import locked_folder
 from agents.scenario_options import ScenarioOptions
 from agents.training.algorithm_options import PPOOptions
 from agents.training.checkpoint import checkpoints
@@ -213,7 +213,7 @@ def test_a_worker_whose_campaign_was_killed_ends(tmp_path):
     # The pipes that it inherited close when it ends: subprocess.run returned, so that it has ended.
     assert ended.returncode == -signal.SIGKILL, ended.stderr
     run = tmp_path / "runs/linear/ppo/0"
-    with locked(run, wait=10.0):  # which the worker held
+    with locked_folder(run, wait=10.0):  # which the worker held
         assert checkpoints(run)
 
 

@@ -22,17 +22,24 @@ from agents.experiments.search_objective import (
     PruningCallback,
     ValidationSet,
 )
-from agents.experiments.search_space import Choice, Range, own_values, space, suitable_laws, trial_config
+from agents.experiments.search_space import (
+    Choice,
+    Range,
+    own_values,
+    search_space,
+    suitable_laws,
+    trial_config,
+)
 from agents.experiments.search_trace import (
     Trace,
     TrialRow,
-    markdown,
     put_searches,
     read_trace,
+    search_markdown,
     write_trace,
 )
 from agents.progress import Progress
-from agents.run_directory import locked
+from agents.run_directory import locked_folder
 from agents.scenario_options import ScenarioOptions
 from agents.seeds import EVALUATION_SEED, TEST_SEED
 from agents.training.algorithm_options import PPOOptions, SACOptions
@@ -71,7 +78,7 @@ def _short_validation_without_figures():
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda experiment: experiment.name)
 def test_whatever_is_drawn_is_a_valid_run_and_the_recipe_is_among_it(experiment):
-    knobs, own = space(experiment), own_values(experiment)
+    knobs, own = search_space(experiment), own_values(experiment)
     start = trial_config(experiment, {knob.name: own[knob.name] for knob in knobs}, 1.0)
     assert start.chosen == experiment.config.chosen
     assert (start.steps, start.lookahead) == (experiment.config.steps, experiment.config.lookahead)
@@ -100,7 +107,7 @@ def test_a_batch_divides_every_roll_out(tables, length, data):
     parts = data.draw(st.sampled_from([n for n in range(1, 17) if samples % n == 0]))
     options = PPOOptions(n_envs=tables, n_steps=length, batch_size=samples // parts)
     experiment = ExperimentConfig(evaluation_task="linear", config=TrainConfig(ppo=options), minutes=1.0)
-    knobs = {knob.name: knob for knob in space(experiment)}
+    knobs = {knob.name: knob for knob in search_space(experiment)}
     for steps in knobs["n_steps"].values:
         for pieces in knobs["minibatches"].values:
             config = trial_config(experiment, {"n_steps": steps, "minibatches": pieces}, 1.0)
@@ -121,7 +128,7 @@ def test_a_search_keeps_what_a_recipe_claims():
 
 def test_ranges_widen_to_what_a_recipe_has():
     wide = replace(TINY, config=replace(SMALL, discount_horizon=30.0))
-    knob = next(knob for knob in space(wide) if knob.name == "discount_horizon")
+    knob = next(knob for knob in search_space(wide) if knob.name == "discount_horizon")
     assert knob.high == 30.0 and knob.low == 0.05
     with pytest.raises(ParameterError, match="low must lie below high"):
         Range(name="x", meaning="x [-]", low=0.0, high=1.0)
@@ -208,7 +215,7 @@ def led(tmp_path):
     """A study, in Optuna's own storage, of five trials that reached a thousandth of the cost."""
     search = replace(SEARCH, share=1.0)
     study = open_study(search, tmp_path / "r.db")
-    knobs, own = space(TINY), own_values(TINY)
+    knobs, own = search_space(TINY), own_values(TINY)
     for _ in range(6):
         study.enqueue_trial({knob.name: own[knob.name] for knob in knobs})
     for _ in range(5):
@@ -271,7 +278,7 @@ def test_a_storage_with_another_recipe_and_a_foreign_run_are_left_alone(tmp_path
 
 def test_two_processes_do_not_run_one_search(tmp_path):
     with (
-        locked(tmp_path / SEARCH.name),
+        locked_folder(tmp_path / SEARCH.name),
         pytest.raises(RunDirectoryError, match=f"in use by process {os.getpid()}"),
     ):
         search_training(SEARCH, tmp_path / "r.db", tmp_path, trials=1)
@@ -304,7 +311,7 @@ def test_a_share_that_ends_within_the_warm_up_is_named():
 
 def made(**changed):
     """A trace with a trial of each kind."""
-    knobs = space(find_experiment("yielding/sac"))
+    knobs = search_space(find_experiment("yielding/sac"))
     own = {k.name: own_values(find_experiment("yielding/sac"))[k.name] for k in knobs}
     held = {"low": 0.9, "high": 1.1, "lost": 0, "ratio": 1.0, "seconds": 3_600.0, "code": "abc"}
     rows = [
@@ -364,7 +371,7 @@ def test_a_page_gets_its_searches_between_the_markers(tmp_path):
     assert "| cost [95 %] | | 1 [0.9, 1.1] | 0.8 [0.9, 1.1] | to 0.8 |" in first
     assert "3 complete, 1 failed, 1 pruned" in first and "3.0 hours" in first
     assert "figures/training_search_yielding_sac.png" in first
-    assert "No trial came to be judged" in markdown(made(trials=made().trials[1:2]), "figures")
+    assert "No trial came to be judged" in search_markdown(made(trials=made().trials[1:2]), "figures")
     put_searches(page, [])
     assert page.read_text() == (
         "before\n<!-- training searches -->\n<!-- end training searches -->\nafter\n"

@@ -1,4 +1,4 @@
-"""Statistics of a policy over training seeds and earthquakes, with intervals.
+"""Statistics of costs over training seeds and earthquakes, with bootstrap intervals.
 
 Estimates and comparison follow Agarwal et al., Deep Reinforcement Learning at the Edge of the
 Statistical Precipice, NeurIPS 2021: interquartile mean, probability of improvement, stratified
@@ -85,7 +85,7 @@ def estimate(
     level: float = LEVEL,
     seed: int = 0,
 ) -> Estimate:
-    """Return a statistic and its percentile interval from the two-way bootstrap.
+    """Return a statistic of scores and its percentile interval from the two-way bootstrap.
 
     Parameters
     ----------

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import bootstrap, mannwhitneyu, trim_mean
 
-from agents.evaluation.bootstrap import (
+from agents.evaluation.statistics import (
     estimate,
     interquartile_mean,
     probability_of_improvement,
