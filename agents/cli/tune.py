@@ -83,7 +83,7 @@ class Tune(CommandOptions):
 
         results: dict[str, Any] = {}
         with self.execution.open_runner() as runner, progress_by_name("tuning ") as on_progress:
-            found = tune_each(
+            tunings = tune_each(
                 [*BASELINES],
                 scenario,
                 self.storage,
@@ -92,7 +92,7 @@ class Tune(CommandOptions):
                 on_progress=on_progress,
                 **self._search,
             )
-        for name, each in found.items():
+        for name, each in tunings.items():
             if isinstance(each, str):
                 results[name] = {"left_out": each}
                 console.print(f"[dim]{name} left out: {each}[/]")

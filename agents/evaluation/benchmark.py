@@ -55,7 +55,7 @@ def run_benchmark(
         raise ParameterError("earthquakes", earthquakes, "an interval needs at least 2")
     scenario = make_scenario(scenario_name)
     recorded = scenario.reserved_for_testing
-    found = compare(
+    comparison = compare(
         scenario,
         names,
         noise=0 if recorded else earthquakes,
@@ -65,12 +65,12 @@ def run_benchmark(
         bound=True,
         on_progress=on_progress,
     )
-    assert found.bounds is not None
-    bound = found.bounds.to_json()
+    assert comparison.bounds is not None
+    bound = comparison.bounds.to_json()
     if not bound["reason"]:
         bound["below"] = [
             {"controller": name, **each}
-            for name, rows in found.episodes.items()
+            for name, rows in comparison.episodes.items()
             for each in below_bound([[row.cost for row in rows]], bound["costs"], bound["disagreements"])
         ]
     return {
@@ -80,14 +80,14 @@ def run_benchmark(
         "machine": machine(),
         "seed": None if recorded else TEST_SEED,
         "reference": reference_name(scenario),
-        "information": found.information,
+        "information": comparison.information,
         "bound": bound,
         "causal_bound": causal_bound(scenario),
         "controllers": list(names),
-        "skipped": found.skipped,
-        "warnings": found.warnings,
-        "values": values_to_json(found.values),
-        "rows": [plain_row(asdict(row)) for row in ranked_summaries(found)],
+        "skipped": comparison.skipped,
+        "warnings": comparison.warnings,
+        "values": values_to_json(comparison.values),
+        "rows": [plain_row(asdict(row)) for row in ranked_summaries(comparison)],
     }
 
 

@@ -126,16 +126,16 @@ def compare(
         def report(share: float, name: str = name) -> None:
             on_progress(name, share)
 
-        episodes[name], found = rollout(
+        episodes[name], histories = rollout(
             controller, driven[name], earthquakes, record=range(len(earthquakes)), on_step=report
         )
-        traces[name] = found[traced]
+        traces[name] = histories[traced]
         if isinstance(controller, Supervised):
             shares[name] = controller.interventions().share
         step, stories = scenario.physics_step, scenario.specimen.stories
-        on_histories(name, [(quake, found[i]) for i, quake in enumerate(earthquakes)])
-        fidelities[name] = [fidelity(found[i], step, stories) for i in range(len(earthquakes))]
-        tracking[name] = [tracking_figures(found[i], step) for i in range(len(earthquakes))]
+        on_histories(name, [(quake, histories[i]) for i, quake in enumerate(earthquakes)])
+        fidelities[name] = [fidelity(histories[i], step, stories) for i in range(len(earthquakes))]
+        tracking[name] = [tracking_figures(histories[i], step) for i in range(len(earthquakes))]
         # What is made for each lane's own earthquake or plant has no decision for one table to time.
         untimed = find_controller(name).needs_earthquakes
         latency[name] = float("nan") if untimed else decision_time(controller, scenario)

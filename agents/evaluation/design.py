@@ -66,8 +66,8 @@ def design(
     name, performance = "lqr", result.performance
     if preview := scenario.sensing.preview:
         spacing = scenario.sensing.preview_spacing
-        seen = preview_lqr(scenario.discrete, scenario.stage_cost, preview, spacing)
-        name, performance = "preview-lqr", seen.performance
+        preview_design = preview_lqr(scenario.discrete, scenario.stage_cost, preview, spacing)
+        name, performance = "preview-lqr", preview_design.performance
     bound = {
         "controller": name,
         "acceleration_rms_ratio": performance.acceleration_rms_ratio,

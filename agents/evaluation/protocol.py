@@ -115,12 +115,12 @@ def policy_files(path: str | PathLike[str]) -> list[Path]:
     if (own := policy_of_run(path)).exists():
         return [own]
     # Seed 10 comes after seed 9.
-    found = sorted(path.glob(f"*/{POLICY}"), key=lambda f: (len(f.parent.name), f.parent.name))
-    if not found:
+    files = sorted(path.glob(f"*/{POLICY}"), key=lambda f: (len(f.parent.name), f.parent.name))
+    if not files:
         raise PolicyFileError(
             "entry", str(path), f"holds no {POLICY} or {BEST}, and no runs with a {POLICY}"
         )
-    return found
+    return files
 
 
 def _learned(name: str, files: Sequence[Path], scenario: Scenario) -> Entry:
@@ -304,8 +304,8 @@ def _bounds(
     before = (known or {}).get("bound")
     if before is not None and before["code"] == search_code():
         return {key: value for key, value in before.items() if key != "below"}
-    found: Bounds = earthquake_bounds(scenario, quakes[:MOST_BOUNDS], on_progress=on_progress)
-    return found.to_json()
+    bounds: Bounds = earthquake_bounds(scenario, quakes[:MOST_BOUNDS], on_progress=on_progress)
+    return bounds.to_json()
 
 
 def _check_same(found: dict[str, Any], before: dict[str, Any] | None) -> None:

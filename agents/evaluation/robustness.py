@@ -323,12 +323,14 @@ def evaluate_perturbations(
             on_progress(units[index].name, done[units[index].name] / len(groups))
 
     results = iter((runner or UnitRunner()).run(units, told))
-    found: dict[str, list[list[EpisodeMetrics]]] = {name: [[] for _ in changes] for name in controllers}
+    metrics: dict[str, list[list[EpisodeMetrics]]] = {
+        name: [[] for _ in changes] for name in controllers
+    }
     for name in controllers:
         for members in groups.values():
             for index, rows in zip(members, next(results), strict=True):
-                found[name][index] = [typed(EpisodeMetrics, row) for row in rows]
-    return found
+                metrics[name][index] = [typed(EpisodeMetrics, row) for row in rows]
+    return metrics
 
 
 def _perturbed(

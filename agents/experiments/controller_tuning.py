@@ -167,10 +167,10 @@ def tune_each(
     """
     options = (str(storage), budget, earthquakes, seed)
     units = [Unit(name, _tuned, (name, scenario, tuned, *options)) for name in names]
-    found = runner.run(units, lambda index, share: on_progress(names[index], share))
+    tunings = runner.run(units, lambda index, share: on_progress(names[index], share))
     return {
         name: each if isinstance(each, str) else TuningResult(**each)
-        for name, each in zip(names, found, strict=True)
+        for name, each in zip(names, tunings, strict=True)
     }
 
 

@@ -74,8 +74,8 @@ def controllers() -> dict[str, ControllerEntry]:
         ControllerEntry(ORACLE, "oracle", "linear law for the true plant: full state, 0.5 s of preview")
     )
     for name in SHIPPED:
-        found = (_shipped_file(name, scenario) for scenario in NAMED)
-        files = dict.fromkeys(file.stem for file in found if file is not None)
+        shipped = (_shipped_file(name, scenario) for scenario in NAMED)
+        files = dict.fromkeys(file.stem for file in shipped if file is not None)
         summary = f"learned; as the scenario has it: {', '.join(files)}"
         entries.append(ControllerEntry(name, "shipped", summary))
     return {entry.name: entry for entry in entries}

@@ -56,7 +56,7 @@ class TrainingWatch(BaseCallback):
         self.reference = "LQR" if lqr_suits(self.scenario) else "oracle"
         self.earthquakes, self.reference_cost = _reference(self.scenario, self.earthquakes)
         self.started = time.monotonic()
-        self.saved = self.told = -np.inf
+        self.saved = self.reported = -np.inf
         self.passed = -1  # number of the last evaluation that was due
         self.cost_ratio: float | None = None
         self.evaluations = [ratio for _, ratio in evaluations_of_run(run)]
@@ -84,9 +84,9 @@ class TrainingWatch(BaseCallback):
         if now - self.saved >= self.config.checkpoint_interval:
             save_checkpoint(self.run, self.model, self.tables)  # type: ignore[arg-type]  # one of `Model`
             self.saved = now
-        if now - self.told >= 0.5:
+        if now - self.reported >= 0.5:
             self.tell()
-            self.told = now
+            self.reported = now
 
     def _on_step(self) -> bool:
         return True

@@ -125,11 +125,11 @@ def preview_lqr(
     rows = problem.future_rows(forecast.periods)
     b = forecast.expectation(rows.reshape(1, -1))
     # Row j: what the law of j periods earlier knows of v through a period's draws.
-    seen = (b @ forecast.N_y).reshape(rows.shape)
-    performance = _performance(problem, problem.L, seen)
+    known_rows = (b @ forecast.N_y).reshape(rows.shape)
+    performance = _performance(problem, problem.L, known_rows)
     analytic = performance.cost
     if position is None:  # what completing the square says contains the position's term, too
-        analytic = _floor(problem) + problem.R_u * (problem.unseen - float(np.sum(seen**2)))
+        analytic = _floor(problem) + problem.R_u * (problem.unseen - float(np.sum(known_rows**2)))
         _agree(problem, performance.cost, analytic)
     row = problem.row(problem.L - b @ forecast.C_y)
     gain = -row * REFERENCE_CURRENT / discrete.plant.state_scale

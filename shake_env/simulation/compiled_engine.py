@@ -207,16 +207,16 @@ class CompiledEngine(TableRecords):
         for column, each in zip(columns, episodes, strict=True):
             self._set_to_time_zero(record[:, column], wholes[:, column], each)
         shown = self._packed.sizes["shown"]
-        seen = np.empty(block * shown + LINE // 4, dtype=np.float32)
+        observations = np.empty(block * shown + LINE // 4, dtype=np.float32)
         self._call(
             START,
             first=number,
             last=number + 1,
             at_records=record.ctypes.data - number * self._records[0].nbytes,
-            at_seen=seen.ctypes.data - 4 * number * block * shown,
+            at_seen=observations.ctypes.data - 4 * number * block * shown,
         )
         self._records[number][:, columns] = record[:, columns]
-        return seen[: block * shown].reshape(block, shown)[columns]
+        return observations[: block * shown].reshape(block, shown)[columns]
 
     def _call(self, mode: int, **values: int) -> None:
         """Make a call that is no step, with some places of the table changed."""

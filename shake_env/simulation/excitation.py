@@ -195,12 +195,12 @@ class Excitation:
     def _recorded(self, lanes: NDArray[np.intp], exogenous: FloatArray) -> FloatArray:
         """Return a period of recorded motions."""
         rows, k = self._rows, self._discrete.substeps
-        found = []
+        histories = []
         for lane in lanes:
             history = self._shapes[lane]
             assert history is not None  # a record has one
-            found.append(history[min(self.period[lane], len(history) - 1)])
-        samples = np.stack(found)
+            histories.append(history[min(self.period[lane], len(history) - 1)])
+        samples = np.stack(histories)
         target = samples[:, -(k + 1) :]
         moved = apply(
             self.maps.pick(lanes).record, np.concatenate([exogenous[:, rows.ground :], target], axis=1)

@@ -267,16 +267,16 @@ def _numbers(tables: Tables, sizes: Mapping[str, int]) -> tuple[FloatArray, dict
     inverse = np.ones(layout.size)
     inverse[: len(head)] = 1.0 / head
     inverse[layout.preview] = 1.0 / measured.preview_scale
-    found = (
+    vectors = (
         bounds, inverse, measured.resolution, measured.rounded, measured.scale,
         measured.rms, measured.offset, measured.gain_error,
     )  # fmt: skip
     starts, start = {}, len(scalars)
-    for name, values in zip(VECTORS, found, strict=True):
+    for name, values in zip(VECTORS, vectors, strict=True):
         starts[name] = start
         start += len(values)
     # Numbers behind, which a table alone reads and never uses.
-    values = [np.array(list(scalars.values()), dtype=float), *found, np.zeros(BEHIND)]
+    values = [np.array(list(scalars.values()), dtype=float), *vectors, np.zeros(BEHIND)]
     return np.concatenate(values), starts
 
 
@@ -285,19 +285,19 @@ def _sources(tables: Tables, sizes: Mapping[str, int], rows: Mapping[str, slice]
     layout = tables.scenario.observation
     ring, stride, k = rows["ring"].start, sizes["stride"], sizes["substeps"]
     filter_states, reference = sizes["filter"], sizes["reference"]
-    found = [(ring + i, 0, stride) for i in range(filter_states)]
+    sources = [(ring + i, 0, stride) for i in range(filter_states)]
     if layout.sensing.full_state:
-        found += [(rows["state"].start + i, 0, 0) for i in range(sizes["controlled"])]
-        found += [(ring + filter_states + i, 0, stride) for i in range(reference)]
-    found += [(rows["reading"].start + i, 0, 0) for i in range(sizes["readings"])]
+        sources += [(rows["state"].start + i, 0, 0) for i in range(sizes["controlled"])]
+        sources += [(ring + filter_states + i, 0, stride) for i in range(reference)]
+    sources += [(rows["reading"].start + i, 0, 0) for i in range(sizes["readings"])]
     samples, spacing = tables.preview
     for i in range(samples):
         ahead = (i + 1) * spacing - 1
-        found.append((ring + filter_states + reference + ahead % k, 1 + ahead // k, stride))
-    found += [(rows["action"].start, 0, 0)] * layout.sensing.last_action
-    found += [(rows["past"].start + i, 0, 0) for i in range(sizes["history"])]
+        sources.append((ring + filter_states + reference + ahead % k, 1 + ahead // k, stride))
+    sources += [(rows["action"].start, 0, 0)] * layout.sensing.last_action
+    sources += [(rows["past"].start + i, 0, 0) for i in range(sizes["history"])]
     segments: list[list[int]] = []
-    for i, (row, ahead, rows_of_slot) in enumerate(found):
+    for i, (row, ahead, rows_of_slot) in enumerate(sources):
         _, count, *place = segments[-1] if segments else (0, 0)
         if count and place == [row - count, ahead, rows_of_slot]:
             segments[-1][1] += 1
@@ -308,14 +308,14 @@ def _sources(tables: Tables, sizes: Mapping[str, int], rows: Mapping[str, slice]
 
 def _signals(tables: Tables, sizes: Mapping[str, int], rows: Mapping[str, slice]) -> IntArray:
     """Return the row of a record that each reading is taken from."""
-    k, found = sizes["substeps"], []
+    k, signal_rows = sizes["substeps"], []
     layout, places = tables.scenario.observation, tables.model.measurement.places
     for name, place in zip(layout.reading_names, places.tolist(), strict=True):
         if place >= 0:
-            found.append(rows["state"].start + place)
+            signal_rows.append(rows["state"].start + place)
         elif name.startswith("floor"):
-            found.append(rows["floors"].start + int(name.rsplit("_", 1)[1]) - 1)
+            signal_rows.append(rows["floors"].start + int(name.rsplit("_", 1)[1]) - 1)
         else:
             last = {"table_acceleration": k - 1, "base_shear": 2 * k - 1}[name]
-            found.append(rows["response"].start + last)
-    return np.array(found, dtype=np.int64)
+            signal_rows.append(rows["response"].start + last)
+    return np.array(signal_rows, dtype=np.int64)

@@ -28,14 +28,14 @@ class ShapeAddresses:
 
     def of(self, motions: Sequence[EpisodeMotion], used: Any) -> IntArray:
         """Return the number of each motion's shape; numbers that are not `used` may be given again."""
-        found = np.full(len(motions), ONES, dtype=np.int64)
+        numbers = np.full(len(motions), ONES, dtype=np.int64)
         for i, motion in enumerate(motions):
             if isinstance(motion, FilteredNoise) and motion.envelope is None:
                 continue
             if motion not in self._numbers:
-                self._add(motion, used() | set(found[:i].tolist()))
-            found[i] = self._numbers[motion]
-        return found
+                self._add(motion, used() | set(numbers[:i].tolist()))
+            numbers[i] = self._numbers[motion]
+        return numbers
 
     def _add(self, motion: EpisodeMotion, used: set[int]) -> None:
         array = motion_shape(motion, self._discrete, self._ahead)
