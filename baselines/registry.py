@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from baselines.catalogue import BASELINES, Baseline
+from baselines.baseline import Baseline
+from baselines.catalogue import BASELINES
 from baselines.searched_lqg import LQG_SEARCHED, SEARCHED, searched_baseline
 from baselines.tuned_values import TunedEntry, TunedValues, packaged_values
 from shake_env.controller import Controller

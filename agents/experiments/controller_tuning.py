@@ -30,7 +30,7 @@ from agents.experiments.study_storage import (
 from agents.policies.own_controller import is_own_controller, own_baseline, own_source
 from agents.run_directory import locked_folder
 from agents.seeds import VALIDATION_SEED
-from baselines.catalogue import Baseline, Tunable
+from baselines.baseline import Baseline, Tunable
 from baselines.registry import baseline_of, parameter_values
 from baselines.searched_lqg import LQG_SEARCHED, LQG_SEARCHED_FORCE, searched_baseline, searched_values
 from baselines.tuned_values import TunedEntry, TunedValues, read_tuned, write_tuned

@@ -46,13 +46,7 @@ from agents.seeds import VALIDATION_SEED
 from agents.training.checkpoint import delete_checkpoints
 from agents.training.config import config_of
 from agents.training.run import train_or_resume
-from shake_env.errors import (
-    ParameterError,
-    PolicyFileError,
-    RunDirectoryError,
-    ScenarioError,
-    unknown,
-)
+from shake_env.errors import ParameterError, PolicyFileError, RunDirectoryError, ScenarioError, unknown
 
 UNJUDGED = 5  # trials that no pruner ends: a median of fewer says little
 

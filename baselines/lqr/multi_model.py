@@ -19,9 +19,9 @@ import numpy as np
 from scipy.optimize import minimize
 
 from baselines.lqr.design_states import DesignStates
+from baselines.lqr.discrete_lyapunov import discrete_lyapunov
 from baselines.lqr.preview import preview_lqr
 from baselines.lqr.sampled import ScaledProblem
-from baselines.lqr.tracking_problem import discrete_lyapunov
 from shake_env.errors import NumericalError, ParameterError
 from shake_env.model.parameters import FloatArray
 from shake_env.model.plant import REFERENCE_CURRENT

@@ -29,7 +29,7 @@ def trained_parameters(
     return actor, [p for p in trained if id(p) in critic]
 
 
-def shared_features(
+def latent(
     policy: ActorCriticPolicy, observation: torch.Tensor, memory: torch.Tensor | None
 ) -> tuple[Features, torch.Tensor | None]:
     """Return the features (N, f) of actor and critic, and the policy's new memory (N, units).

@@ -21,12 +21,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
 from stable_baselines3.common.utils import safe_mean, update_learning_rate
 
-from agents.learning.apg.actor_critic import (
-    set_gradient,
-    shared_features,
-    state_value,
-    trained_parameters,
-)
+from agents.learning.apg.actor_critic import latent, set_gradient, state_value, trained_parameters
 from agents.learning.apg.loop_gradient import Kept
 from agents.learning.apg.td_lambda import td_lambda_targets
 from agents.learning.apg.window_rollout import Window, WindowRollout
@@ -267,7 +262,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         dtype = self.policy.action_net.weight.dtype
 
         def act(observation: torch.Tensor, memory: Kept) -> tuple[torch.Tensor, Kept, Kept]:
-            (actor, critic), memory = shared_features(self.policy, observation.to(dtype), memory)
+            (actor, critic), memory = latent(self.policy, observation.to(dtype), memory)
             action = self.policy.action_net(self.policy.mlp_extractor.forward_actor(actor))[:, 0]
             return action, memory, critic if self.terminal_value else None
 
@@ -278,12 +273,10 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         critic_features: list[torch.Tensor] = []
         if self.terminal_value and window.history is not None:
             whole = window.history.shape[:-1]
-            (_, critic), _ = shared_features(
-                self.policy, window.history.flatten(end_dim=1).to(dtype), None
-            )
+            (_, critic), _ = latent(self.policy, window.history.flatten(end_dim=1).to(dtype), None)
             critic_features = list(critic.reshape(*whole, -1))
         elif window.aside is not None:
-            (_, critic), _ = shared_features(self.policy, window.shown.to(dtype), window.recalled)
+            (_, critic), _ = latent(self.policy, window.shown.to(dtype), window.recalled)
             critic_features = [*window.aside, critic]
         steps = torch.arange(self.window, device=self.device)
         discount = (self.gamma**steps).to(window.rewards.dtype)

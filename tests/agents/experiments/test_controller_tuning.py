@@ -13,7 +13,8 @@ from agents.__main__ import main
 from agents.experiments.controller_tuning import FAILED, keep_tuned_values, search, tune
 from agents.experiments.study_storage import storage_errors
 from baselines import registry
-from baselines.catalogue import BASELINES, Baseline, Tunable
+from baselines.baseline import Baseline, Tunable
+from baselines.catalogue import BASELINES
 from baselines.lqr.sampled import LinearFeedback, sampled_lqr
 from baselines.registry import make_baseline
 from baselines.tuned_values import read_tuned

@@ -20,7 +20,7 @@ WORK = """
 import sys, time
 from agents.experiments import study_storage
 from agents.experiments.controller_tuning import search
-from baselines.catalogue import Tunable
+from baselines.baseline import Tunable
 
 study_storage.HEARTBEAT, study_storage.GRACE = 1, 4
 storage, total, seconds, note = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), sys.argv[4]

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from baselines.lqr.discrete_lyapunov import discrete_lyapunov
 from baselines.lqr.preview import PreviewFeedback, infinite_preview, preview_lqr, with_preview
 from baselines.lqr.sampled import sampled_lqr
-from baselines.lqr.tracking_problem import discrete_lyapunov
 from shake_env import Actuator, Sensing, make_scenario
 from shake_env.errors import NumericalError, ParameterError, ScenarioError
 from shake_env.model.plant import REFERENCE_CURRENT
