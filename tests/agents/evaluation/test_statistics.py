@@ -102,13 +102,6 @@ def test_the_interval_covers_the_mean_of_crossed_effects():
     assert covered["earthquakes"] < covered["both"]
 
 
-def test_strata_keep_their_numbers():
-    scores = np.array([[0.0] * 10 + [100.0] * 5])
-    found = estimate(mean, scores, strata=[0] * 10 + [1] * 5, resamples=50)
-    assert found.low == found.value == found.high  # no spread within a group
-    assert estimate(mean, scores, resamples=50).high > found.high
-
-
 def test_pairs_stay_together():
     base = np.random.default_rng(6).gamma(1.0, 1.0, (1, 20))
     found = estimate(ratio_of_means, 1.5 * base, base)
