@@ -133,7 +133,6 @@ PYTHON = {
     "agents.reporting": {"Gathered": "HistoryCollector", "section": "robustness_section"},
     "agents.training": {"AnalyticOptions": "APGOptions", "go_on": "train_or_resume"},
     "baselines.analysis": {"ClosedLoop": "ContinuousClosedLoop", "respond": "forced_response"},
-    "baselines.servo": {"recall": "controller_memory"},
 }
 
 

@@ -14,7 +14,7 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.servo.signals import as_action, controller_memory
+from baselines.servo.signals import as_action, recall
 from shake_env.errors import ParameterError, ScenarioError, unknown
 from shake_env.model.discretization import DiscretePlant, DiscreteStateSpace
 from shake_env.model.parameters import FloatArray
@@ -134,7 +134,7 @@ class ControlLaw:
     ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
         """Return the action (..., 1) for an observation (..., n), and the law's states in a tuple."""
         law = self._law
-        x = controller_memory(state, episode_start, observation.shape[:-1], law.order)
+        x = recall(state, episode_start, observation.shape[:-1], law.order)
         y = observation.astype(np.float64) @ self._rows
         current = (x @ law.C.T + y @ law.D.T)[..., 0]
         return as_action(current, self._limit), (x @ law.A.T + y @ law.B.T,)

@@ -20,7 +20,7 @@ __getattr__, __all__ = names_of(
         "pid": ("PIDRule",),
         "signals": (
             "as_action",
-            "controller_memory",
+            "recall",
         ),
         "tvc": ("TVCDesign",),
     },

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.servo.output_feedback import NominalTable
-from baselines.servo.signals import ACCELERATION, VELOCITY, Memory, SignalReader, controller_memory
+from baselines.servo.signals import ACCELERATION, VELOCITY, Memory, SignalReader, recall
 from shake_env.controller import Controller, decide
 from shake_env.errors import ParameterError
 from shake_env.model.parameters import FloatArray, is_number, require_positive
@@ -122,7 +122,7 @@ class DisturbanceObserver:
         own, lead = self._reader.memory_size, observation.shape[:-1]
         mine = None if state is None else state[:1]
         inner = None if state is None else state[1]
-        memory = controller_memory(mine, episode_start, lead, own + 2 + len(self._arrivals))
+        memory = recall(mine, episode_start, lead, own + 2 + len(self._arrivals))
         signals, read = self._reader.read(observation, memory[..., :own])
         first, second, past = memory[..., own], memory[..., own + 1], memory[..., own + 2 :]
         if self._shown.sensing.last_action:  # what was given, which a supervisor may have changed

@@ -31,7 +31,7 @@ from baselines.servo.signals import (
     Memory,
     SignalReader,
     as_action,
-    controller_memory,
+    recall,
 )
 from baselines.servo.tvc import FEEDBACK, TARGETS, TVCDesign, placed_feedback
 from shake_env.errors import ParameterError, ScenarioError
@@ -215,7 +215,7 @@ class InverseFeedForward:
     ) -> tuple[NDArray[np.float32], Memory | None]:
         """Return the action (..., 1) for an observation (..., n), and the memory."""
         own = self._reader.memory_size
-        memory = controller_memory(state, episode_start, observation.shape[:-1], own + self._past)
+        memory = recall(state, episode_start, observation.shape[:-1], own + self._past)
         signals, read = self._reader.read(observation, memory[..., :own])
         now = signals[..., TARGET_VELOCITY : TARGET_VELOCITY + 1]
         acceleration = signals[..., TARGET_ACCELERATION : TARGET_ACCELERATION + 1]

@@ -29,7 +29,7 @@ from baselines.servo.signals import (
     Memory,
     SignalReader,
     as_action,
-    controller_memory,
+    recall,
 )
 from baselines.servo.tvc import TVCDesign, tvc_law
 from shake_env.errors import ParameterError
@@ -116,7 +116,7 @@ class MCS:
     ) -> tuple[NDArray[np.float32], Memory | None]:
         """Return the action (..., 1) for an observation (..., n), and the memory."""
         d, own = self.design, self._reader.memory_size
-        memory = controller_memory(state, episode_start, observation.shape[:-1], own + GAINS + 1)
+        memory = recall(state, episode_start, observation.shape[:-1], own + GAINS + 1)
         signals, read = self._reader.read(observation, memory[..., :own])
         change, integral = memory[..., own : own + GAINS], memory[..., -1]
         x, v = signals[..., DISPLACEMENT], signals[..., VELOCITY]

@@ -22,7 +22,7 @@ from baselines.servo.signals import (
     Memory,
     SignalReader,
     as_action,
-    controller_memory,
+    recall,
 )
 from shake_env.dynamics.nonlinear import arrival, commands_under_way
 from shake_env.errors import ParameterError
@@ -184,7 +184,7 @@ class OutputFeedback:
     ) -> tuple[NDArray[np.float32], Memory | None]:
         """Return the action (..., 1) for an observation (..., n), and the memory."""
         law, own = self.law, self._reader.memory_size
-        memory = controller_memory(state, episode_start, observation.shape[:-1], own + len(self.law.C))
+        memory = recall(state, episode_start, observation.shape[:-1], own + len(self.law.C))
         signals, read = self._reader.read(observation, memory[..., :own])
         xi = memory[..., own:]
         current = xi @ law.C + signals @ law.D

@@ -30,7 +30,7 @@ SIGNALS = 8
 Memory = tuple[Any, ...]  # what a controller returns and gets back; here always one array (..., m)
 
 
-def controller_memory(
+def recall(
     state: Memory | None, episode_start: NDArray[np.bool_] | None, lead: tuple[int, ...], size: int
 ) -> FloatArray:
     """Return a controller's memory (*lead, size), zero where an episode has just begun.

@@ -93,18 +93,18 @@ def fit(
     far = likelihood.with_share(FIRST_SHARE)
     root = prior.root
     costs = far.log_density(draws) - 0.5 * np.sum(((draws - prior.mean) @ root.T) ** 2, axis=1)
-    mode_fit = _search(far, prior, draws[int(np.argmax(costs))])
+    found = _search(far, prior, draws[int(np.argmax(costs))])
     # A discrepancy that is estimated where the parameters are still off would explain that, and stay:
     # first the model is trusted, as far as it goes.
     for share in NEARER:
-        mode_fit = _search(likelihood.with_share(share), prior, mode_fit.mode)
+        found = _search(likelihood.with_share(share), prior, found.mode)
     on_progress(1.0 / ROUNDS)
     current = likelihood.with_share(0.0)
     for number in range(2, ROUNDS + 1):
         last = current
-        current = last.with_discrepancy(mode_fit.mode) if discrepancy else last
+        current = last.with_discrepancy(found.mode) if discrepancy else last
         if number > 2 or any(share.any() for share in current.shares):
-            mode_fit = _search(current, prior, mode_fit.mode)
+            found = _search(current, prior, found.mode)
         on_progress(number / ROUNDS)
         change = max(
             float(np.max(np.abs(new - old) / np.maximum(old, 1e-4), initial=0.0))
@@ -114,12 +114,7 @@ def fit(
             break
     on_progress(1.0)
     return Fit(
-        mode_fit.likelihood,
-        prior,
-        mode_fit.mode,
-        mode_fit.covariance,
-        mode_fit.cost,
-        time.perf_counter() - begun,
+        found.likelihood, prior, found.mode, found.covariance, found.cost, time.perf_counter() - begun
     )
 
 
