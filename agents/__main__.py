@@ -120,7 +120,7 @@ def run(command: CommandOptions, title: str) -> int:
 
 
 def report(text: str, command: CommandOptions | None) -> None:
-    """Print an error as one line, and where it was raised if that was asked for."""
+    """Print an error of a command as one line, and where it was raised if that was asked for."""
     if command is not None and command.verbose:
         traceback.print_exc()
     print(f"shake: {text}", file=sys.stderr)

@@ -101,8 +101,8 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def strongest(time: NDArray[np.float64], shear: NDArray[np.floating]) -> tuple[float, float]:
-    """Return the ends [s] of `WINDOW` about the peak of a base shear (samples,)."""
+def strongest_seconds(time: NDArray[np.float64], shear: NDArray[np.floating]) -> tuple[float, float]:
+    """Return the ends [s] of a figure's `WINDOW` about the peak of a base shear (samples,)."""
     centre = time[int(np.argmax(np.abs(shear)))]
     start = min(max(centre - 0.4 * WINDOW, 0.0), max(time[-1] - WINDOW, 0.0))
     return float(start), float(min(start + WINDOW, time[-1]))
@@ -119,7 +119,7 @@ def tracking_figure(traces: Mapping[str, Trajectory], title: str) -> Figure:
         Of the figure.
     """
     first = next(iter(traces.values()))
-    start, end = strongest(first.time, first.reference_base_shear)
+    start, end = strongest_seconds(first.time, first.reference_base_shear)
     with figure_style():
         figure = new_figure(8.0, 5.2)
         panels = figure.subplots(2, 1, sharex=True)

@@ -13,7 +13,7 @@ Value = TypeVar("Value")
 
 
 def typed(kind: type[Value], values: object, name: str = "") -> Value:
-    """Return the dataclass `kind` that plain values describe.
+    """Return the dataclass `kind` (a configuration) that plain JSON values describe.
 
     Parameters
     ----------
@@ -95,5 +95,5 @@ def differences(one: object, other: object, name: str = "") -> dict[str, tuple[A
 
 
 def plain(values: dict[str, Any]) -> dict[str, Any]:
-    """Return values as JSON has them; what it lacks (a path) as text."""
+    """Return values (a configuration's) as JSON has them; what it lacks (a path) as text."""
     return cast("dict[str, Any]", json.loads(json.dumps(values, default=str)))

@@ -39,5 +39,5 @@ def _git(*arguments: str) -> str:
 
 
 def machine() -> str:
-    """Return the kind of this machine's processor and the number of its cores."""
+    """Return the kind of this machine's processor and the number of its cores, for a result's file."""
     return f"{platform.machine()}, {os.cpu_count()} cores"

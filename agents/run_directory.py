@@ -90,7 +90,7 @@ def read_json(
 
 
 def append_row(path: Path, row: dict[str, Any]) -> None:
-    """Append a row to a file of JSON lines; half a line that an interruption left is dropped first.
+    """Append a row to a run's file of JSON lines; half a line at its end is dropped first.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def append_row(path: Path, row: dict[str, Any]) -> None:
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
-    """Return the rows of a file of JSON lines, without half a line at its end; none without a file.
+    """Return the rows of a run's file of JSON lines, without half a line; none without a file.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def evaluations(run: Path) -> list[tuple[int, float]]:
+def evaluations_of_run(run: Path) -> list[tuple[int, float]]:
     """Return (steps, cost relative to the reference's) of each evaluation of a run, as they were made.
 
     Raises
@@ -165,8 +165,8 @@ def _object(line: bytes) -> dict[str, Any] | None:
 
 
 @contextmanager
-def locked(folder: Path, wait: float = 0.0, field: str = "run directory") -> Iterator[None]:
-    """Hold a folder, which is made if need be, against every other process.
+def locked_folder(folder: Path, wait: float = 0.0, field: str = "run directory") -> Iterator[None]:
+    """Hold a run's folder, which is made if need be, against every other process.
 
     The lock is the operating system's and ends with the process, so that the next one takes over what
     a killed one held. A file beside it says who holds it.
@@ -219,8 +219,8 @@ def _held_by(owner: Path) -> str:
     )
 
 
-def contents(run: Path) -> list[str]:
-    """Return the names of what a directory holds, sorted, but for the lock's and incomplete files."""
+def folder_contents(run: Path) -> list[str]:
+    """Return the sorted names in a run's directory, but for the lock's and incomplete files."""
     if not run.is_dir():
         return []
     with file_errors(run):
@@ -228,14 +228,14 @@ def contents(run: Path) -> list[str]:
     return sorted(n for n in names if n not in (LOCK, OWNER) and not _PARTIAL.fullmatch(n))
 
 
-def described(names: Iterable[str], most: int = 6) -> str:
-    """Return names in a sentence's form, at most so many of them."""
+def names_in_words(names: Iterable[str], most: int = 6) -> str:
+    """Return file names in a sentence's form, at most so many of them."""
     names = list(names)
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
 
 
-def create(run: Path, fill: Callable[[Path], None]) -> None:
+def create_run_directory(run: Path, fill: Callable[[Path], None]) -> None:
     """Make a run directory that exists under its name only when `fill` has put its first files in it.
 
     A directory that is there already and empty is filled in place.

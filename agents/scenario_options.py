@@ -104,7 +104,7 @@ class ScenarioOptions:
 
 
 def assignment(text: str) -> tuple[str, Any]:
-    """Return path and value of ``PATH=VALUE``; the value is JSON, or else a word.
+    """Return path and value of ``--set PATH=VALUE``; the value is JSON, or else a word.
 
     Raises
     ------

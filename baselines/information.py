@@ -23,10 +23,10 @@ MEANINGS: dict[Information, str] = {
 
 
 def scenario_information(scenario: Scenario) -> Information:
-    """Return the class of what a scenario shows."""
+    """Return the class of information that a scenario shows a controller."""
     return "preview" if scenario.sensing.preview > 0.0 else "causal"
 
 
-def within(one: str, other: str) -> bool:
-    """Return whether a class knows no more than another."""
+def knows_no_more(one: str, other: str) -> bool:
+    """Return whether a class of information knows no more than another."""
     return INFORMATION.index(one) <= INFORMATION.index(other)

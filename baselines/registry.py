@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from baselines.catalogue import BASELINES, Baseline
+from baselines.baseline import Baseline
+from baselines.catalogue import BASELINES
 from baselines.searched_lqg import LQG_SEARCHED, SEARCHED, searched_baseline
 from baselines.tuned_values import TunedEntry, TunedValues, packaged_values
 from shake_env.controller import Controller
@@ -86,7 +87,7 @@ def _of_file(entry: TunedEntry, tuned: TunedValues, where: str) -> ParameterValu
 
 
 def tuned_parameters(name: str, scenario: Scenario) -> dict[str, float]:
-    """Return what comes with the package for a controller on exactly this scenario; {}: nothing."""
+    """Return the package's tuned values of a controller on exactly this scenario; {}: none."""
     return dict(parameter_values(name, scenario).parameters)
 
 
@@ -119,7 +120,7 @@ def make_baseline(
     name = renamed("controller", name, CONTROLLERS)
     baseline = baseline_of(name, scenario)
     chosen = parameter_values(name, scenario).parameters if parameters is None else parameters
-    return designed(name, baseline, scenario, chosen, earthquakes)
+    return designed_controller(name, baseline, scenario, chosen, earthquakes)
 
 
 def baseline_of(name: str, scenario: Scenario) -> Baseline:
@@ -137,7 +138,7 @@ def baseline_of(name: str, scenario: Scenario) -> Baseline:
     return BASELINES[name]
 
 
-def designed(
+def designed_controller(
     name: str,
     baseline: Baseline,
     scenario: Scenario,

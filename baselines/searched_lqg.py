@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from baselines.baseline import Baseline, Tunable
 from baselines.batch_controllers import rescaling
-from baselines.catalogue import Baseline, Tunable
 from baselines.estimation.estimator_model import ModelError
 from baselines.estimation.lqg import estimated
 from baselines.lqr.preview import PreviewFeedback, preview_lqr

@@ -100,15 +100,17 @@ def digests(folder: Path) -> dict[str, str]:
     """Digest of every run's policy (weights and card) and evaluations, times and paths left out."""
     from agents.policies.policy_file import load_policy
 
-    found = {}
+    digest_of = {}
     for file in sorted(folder.glob("*/*/*/policy.safetensors")):
         policy = load_policy(file)
         parts = [array.tobytes() for array in (*policy.weights, *policy.biases)]
         parts.append(json.dumps(without_times(policy.card), sort_keys=True).encode())
         rows = (file.parent / "evaluations.jsonl").read_text(encoding="utf-8").splitlines()
         parts.append(json.dumps([without_times(json.loads(row)) for row in rows]).encode())
-        found[str(file.parent.relative_to(folder))] = hashlib.sha256(b"".join(parts)).hexdigest()[:16]
-    return found
+        digest_of[str(file.parent.relative_to(folder))] = hashlib.sha256(b"".join(parts)).hexdigest()[
+            :16
+        ]
+    return digest_of
 
 
 def without_times(value: Any) -> Any:

@@ -18,12 +18,14 @@ sys.path[:0] = [
 
 from generators import DOCS, ROOT, reference, results  # noqa: E402
 from generators.api import PACKAGES, api  # noqa: E402
+from generators.files import files_of_rooms  # noqa: E402
 
 from agents.laboratory.result_files import laboratory_tables  # noqa: E402
 from agents.reporting.markdown_blocks import with_block  # noqa: E402
 from shake_env.scenario.json_schema import scenario_schema  # noqa: E402
 from shake_env.scenario.scenario_writer import SCHEMA_FILE  # noqa: E402
 
+ARCHITECTURE = DOCS / "architecture.md"
 SB3_GUIDE = DOCS / "howto" / "train_with_sb3.md"
 TRAINING = DOCS / "training.md"
 CLUSTER = DOCS / "howto" / "cluster.md"
@@ -39,6 +41,7 @@ def pages() -> dict[Path, str]:
         DOCS / "reference" / "command-line.md": reference.command_line(),
         ROOT / "shake_env" / "scenario" / SCHEMA_FILE: json.dumps(scenario_schema(), indent=1) + "\n",
         ROOT / "README.md": with_block(ROOT / "README.md", "headline", results.headline()),
+        ARCHITECTURE: with_block(ARCHITECTURE, "files", files_of_rooms()),
         SB3_GUIDE: with_block(SB3_GUIDE, "sb3 guide", results.sb3_guide()),
         CLUSTER: with_block(CLUSTER, "execution figures", results.execution_figures()),
         TRAINING: with_block(TRAINING, "gradient noise", results.gradient_noise()),

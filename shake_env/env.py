@@ -233,7 +233,7 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
 
 def step_info(report: list[float]) -> dict[str, Any]:
-    """Return the info of a step from its report (15,)."""
+    """Return the info dictionary of an environment's step from its report (15,)."""
     # Written out: dict(zip(INFO_KEYS, report)) takes twice as long, a tenth of a step.
     (
         table_acceleration, target_acceleration, base_shear, reference_base_shear, current,
@@ -258,7 +258,7 @@ def step_info(report: list[float]) -> dict[str, Any]:
 
 
 def single_action(action: Any) -> float:
-    """Return the number in `action` (1,).
+    """Return the number in an environment's `action` (1,).
 
     Raises
     ------

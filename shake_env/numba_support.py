@@ -16,7 +16,7 @@ COMPILED = os.environ.get("SHAKE_ENV_COMPILED", "1") != "0"  # whether numba is 
 
 
 def compiled_module(name: str) -> Any:
-    """Return a module by its dotted name, or None where it is switched off or numba is not there.
+    """Return a numba module by its dotted name, or None where it is switched off or numba is not there.
 
     Imported on first use: numba is an extra, and takes half a second. Where it is installed and cannot
     be used, a RuntimeWarning says why.

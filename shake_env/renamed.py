@@ -121,13 +121,16 @@ PYTHON = {
         "bench": "run_benchmark",
         "contestant": "find_entry",
         "controllers_of": "controllers_with_sources",
+        "difference": "difference_of_result",
     },
+    "agents.experiments": {"keep": "keep_tuned_values"},
     "agents.policies": {
+        "digest": "file_digest",
         "file_of": "policy_path",
         "named_controller": "get_controller",
         "require_controller": "find_controller",
     },
-    "agents.reporting": {"Gathered": "HistoryCollector"},
+    "agents.reporting": {"Gathered": "HistoryCollector", "section": "robustness_section"},
     "agents.training": {"AnalyticOptions": "APGOptions", "go_on": "train_or_resume"},
     "baselines.analysis": {"ClosedLoop": "ContinuousClosedLoop", "respond": "forced_response"},
 }

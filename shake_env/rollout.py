@@ -168,7 +168,7 @@ def run(
     logs: Sequence[PeriodLog],
     on_step: Callable[[float], None] = lambda share: None,
 ) -> list[str | None]:
-    """Run a controller on tables that `begin` started; return the limit that ended each lane, or None.
+    """Run a controller on a roll-out's tables that `begin` started; return what ended each lane.
 
     Parameters
     ----------

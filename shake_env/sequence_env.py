@@ -83,7 +83,7 @@ class ShakeTableSequenceEnv(ShakeTableEnv):
         **overrides: Unpack[Overrides],
     ) -> None:
         super().__init__(scenario, render_mode=render_mode, frame_rate=frame_rate, **overrides)
-        self.amplitudes = rising(amplitudes)
+        self.amplitudes = rising_amplitudes(amplitudes)
         (size,) = self.observation_space.shape or (0,)
         bound = OBSERVATION_BOUND
         self.observation_space = spaces.Box(-bound, bound, (size + 1,), np.float32)
@@ -191,8 +191,8 @@ class ShakeTableSequenceEnv(ShakeTableEnv):
         return self.specimen.after(held[0], reference[0], *self._energy)
 
 
-def rising(amplitudes: Sequence[float]) -> tuple[float, ...]:
-    """Return the amplitudes of a sequence as a tuple.
+def rising_amplitudes(amplitudes: Sequence[float]) -> tuple[float, ...]:
+    """Return the amplitudes of a sequence of shakes as a tuple; they must rise.
 
     Raises
     ------

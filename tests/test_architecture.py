@@ -37,6 +37,7 @@ ROOMS = """
     baselines/planning
     baselines/estimation
     baselines/lqr
+    baselines/baseline
     baselines/batch_controllers baselines/information
     shake_env/__init__
     shake_env/vector_env shake_env/sequence_env

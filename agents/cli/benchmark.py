@@ -49,15 +49,15 @@ class Benchmark(CommandOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Run what is not done, and say where it lies."""
-        from agents.evaluation.benchmark import label, read_results, result_file
+        from agents.evaluation.benchmark import read_results, result_file, scenario_label
         from agents.evaluation.controller_set import require_names
-        from agents.reporting.benchmark_tables import markdown, put_tables
+        from agents.reporting.benchmark_tables import benchmark_markdown, put_tables
 
         require_names(self.controllers)
         if not self.scenarios:
             raise ParameterError("scenarios", "none", f"name at least one of {', '.join(NAMED)}")
         require_writable(self.results, "results")
-        labels = [label(name) for name in self.scenarios]
+        labels = [scenario_label(name) for name in self.scenarios]
         if len({*labels}) < len(labels):
             remedy = "two results would have one name: rename a file, or name each scenario once"
             raise ParameterError("scenarios", self.scenarios, remedy)
@@ -77,7 +77,7 @@ class Benchmark(CommandOptions):
                 write_json(file, result, indent=1)
                 console.print(f"wrote {file}")
             results[name] = result
-            print_markdown(console, markdown(result))
+            print_markdown(console, benchmark_markdown(result))
             print_notes(result, console)
         if self.page is not None:
             put_tables(self.page, read_results(self.results))
@@ -96,14 +96,14 @@ class Benchmark(CommandOptions):
         ParameterError
             If it holds a result of other settings.
         """
-        from agents.evaluation.benchmark import difference, read_result, result_file
+        from agents.evaluation.benchmark import difference_of_result, read_result, result_file
 
         make_scenario(name)  # before anything is run
         file = result_file(self.results, name)
         if self.rerun or not file.exists():
             return None
         known = read_result(file)
-        other = difference(known, name, self.earthquakes, self.controllers, self.tuned)
+        other = difference_of_result(known, name, self.earthquakes, self.controllers, self.tuned)
         if other:
             remedy = f"{other}: give --rerun to replace it, or another folder by --results"
             raise ParameterError("results", str(file), remedy)

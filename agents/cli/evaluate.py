@@ -61,7 +61,7 @@ class Evaluate(CommandOptions):
         from agents.evaluation.controller_set import require_names
         from agents.evaluation.protocol import evaluate, find_entry
         from agents.evaluation.result_files import write_result
-        from agents.reporting.evaluation_tables import markdown
+        from agents.reporting.evaluation_tables import evaluation_markdown
 
         require_names(self.entries)
         scenario = self.scenario.build()
@@ -90,7 +90,7 @@ class Evaluate(CommandOptions):
         if chosen is not None:
             result["motion_set"] = chosen.to_json()
         result["scenario_options"] = given_options(plain(self.scenario.__dict__))
-        print_markdown(console, markdown(result))
+        print_markdown(console, evaluation_markdown(result))
         print_notes(result, console)
         if file is not None:
             write_result(result, file)

@@ -176,7 +176,7 @@ class UpdateDocs(CommandOptions):
     def run(self, console: Console) -> dict[str, Any]:
         """Print the tables; or write the page, and say what has no place on it."""
         from agents.evaluation.result_files import read_results
-        from agents.reporting.evaluation_tables import markdown, put_tables
+        from agents.reporting.evaluation_tables import evaluation_markdown, put_tables
         from agents.reporting.terminal import print_markdown
 
         if self.page is not None and not self.page.is_file():
@@ -187,7 +187,7 @@ class UpdateDocs(CommandOptions):
         if self.page is None:
             for name, result in results.items():
                 console.print(f"{name}\n", highlight=False)
-                print_markdown(console, markdown(result))
+                print_markdown(console, evaluation_markdown(result))
             return {"page": None, "tables": list(results), "without_place": []}
         missing = put_tables(self.page, results)
         console.print(

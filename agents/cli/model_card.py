@@ -48,10 +48,10 @@ class ModelCard(CommandOptions):
 
 
 def _known_robustness(policy: Path) -> Path | None:
-    from agents.policies.policy_file import digest, load_policy
+    from agents.policies.policy_file import file_digest, load_policy
     from agents.reporting.model_card import robustness_of
     from agents.reporting.robustness_tables import PREFIX
 
     trained = load_policy(policy).card.get("config", {}).get("scenario", {}).get("scenario", "linear")
     file = Path("docs/results") / f"{PREFIX}{trained}.json"
-    return file if file.is_file() and robustness_of(file, digest(policy)) else None
+    return file if file.is_file() and robustness_of(file, file_digest(policy)) else None

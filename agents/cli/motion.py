@@ -15,7 +15,7 @@ from rich.markup import escape
 import shake_env
 from agents.acceptance.options import AcceptanceOptions
 from agents.cli.command_options import CommandOptions
-from agents.motions.channels import Channel, MotionOptions, _beyond, channels, reading
+from agents.motions.channels import Channel, MotionOptions, _beyond, channels, how_a_file_was_read
 from agents.reporting.terminal import print_table
 from agents.scenario_options import ScenarioOptions
 from shake_env.errors import ParameterError
@@ -52,7 +52,7 @@ class Motion(CommandOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Describe, print, draw."""
-        from agents.motions.figure import draw
+        from agents.motions.figure import draw_channels
 
         scenario = self.scenario.build()
         entries = channels(self.file, self.options, scenario)
@@ -61,7 +61,7 @@ class Motion(CommandOptions):
         print_channels(self.file, entries, described, capacity, console)
         folder = self.output or (None if self.json else Path("out/motion"))
         if folder is not None:
-            for path in draw(entries, capacity, folder, self.file.name):
+            for path in draw_channels(entries, capacity, folder, self.file.name):
                 console.print(escape(f"wrote {path}"))
         return {
             "version": shake_env.__version__,
@@ -83,7 +83,7 @@ def print_channels(
     console: Console,
 ) -> None:
     """Print what a file holds for a person."""
-    form = reading(entries[0].record)
+    form = how_a_file_was_read(entries[0].record)
     number = f"{len(entries)} channel{'s' if len(entries) > 1 else ''}"
     console.print(escape(f"{file.name}: {form}, {number}"))
     figures = ("points", "step\ns", "peak\nm/s²", "Arias\nm/s", "5-95 %\ns")

@@ -112,7 +112,7 @@ class Play(CommandOptions):
         for frame in episode.frames():
             if frame is not last:
                 window.show(frame, episode.time)
-                if not window.seen:
+                if not window.on_display:
                     window.close()
                     raise ScenarioError("display", None, f"{NO_DISPLAY}: give --save FILE.mp4 or .gif")
                 frames, last = frames + 1, frame

@@ -71,14 +71,14 @@ class Robustness(FolderOptions):
             return self._renew(console)
         from agents.evaluation.controller_set import require_names
         from agents.reporting.robustness_figures import draw_robustness
-        from agents.reporting.robustness_tables import PREFIX, section, write_robustness
+        from agents.reporting.robustness_tables import PREFIX, robustness_section, write_robustness
 
         if self.controllers is not None:
             require_names(self.controllers)
         scenario = self.scenario.build()
         folder = self.results_folder("robustness")
         result = _measure(self, self.scenario)
-        print_markdown(console, section(result))
+        print_markdown(console, robustness_section(result))
         print_notes(result, console)
         for reason in result["skipped"]:
             console.print(f"left out: {reason}")
@@ -92,7 +92,12 @@ class Robustness(FolderOptions):
     def _renew(self, console: Console) -> dict[str, Any]:
         from agents.reporting.markdown_blocks import put
         from agents.reporting.robustness_figures import draw_robustness
-        from agents.reporting.robustness_tables import PREFIX, read_robustness, section, write_robustness
+        from agents.reporting.robustness_tables import (
+            PREFIX,
+            read_robustness,
+            robustness_section,
+            write_robustness,
+        )
 
         usual = type(self)()
         for name in ("scenario", "controllers", "perturb", "output", "tuned"):
@@ -113,7 +118,7 @@ class Robustness(FolderOptions):
                 console.print(f"{name}: as before, {file}")
             result = read_robustness(file)
             pictures = [p for p in draw_robustness(result, page.parent / "figures", svg=False)]
-            shown = section(result, [p.relative_to(page.parent) for p in pictures])
+            shown = robustness_section(result, [p.relative_to(page.parent) for p in pictures])
             put(page, f"robustness {name}", shown, end=name)
             written += [str(path) for path in (file, *pictures)]
             console.print(f"wrote {file} and {len(pictures)} figures")

@@ -61,11 +61,11 @@ class Train(CommandOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Train in sight of a person, and say where the policy lies."""
-        from agents.run_directory import contents
+        from agents.run_directory import folder_contents
         from agents.training.progress import TrainingView
         from agents.training.run import resume, train
 
-        begins = self.run_directory.is_dir() and not contents(self.run_directory)
+        begins = self.run_directory.is_dir() and not folder_contents(self.run_directory)
         if self.resume and begins:
             console.print(f"{self.run_directory} is empty: the run begins, with the options given here")
         with TrainingView(f"training {self.run_directory.name}") as view:

@@ -78,12 +78,12 @@ class Tune(CommandOptions):
         return {"budget": self.budget, "earthquakes": self.earthquakes, "seed": self.seed}
 
     def _tune_all(self, scenario: Scenario, console: Console) -> dict[str, Any]:
-        from agents.experiments.controller_tuning import keep, kept_values, tune_each
+        from agents.experiments.controller_tuning import keep_tuned_values, kept_values, tune_each
         from baselines.catalogue import BASELINES
 
         results: dict[str, Any] = {}
         with self.execution.open_runner() as runner, progress_by_name("tuning ") as on_progress:
-            found = tune_each(
+            tunings = tune_each(
                 [*BASELINES],
                 scenario,
                 self.storage,
@@ -92,19 +92,19 @@ class Tune(CommandOptions):
                 on_progress=on_progress,
                 **self._search,
             )
-        for name, each in found.items():
+        for name, each in tunings.items():
             if isinstance(each, str):
                 results[name] = {"left_out": each}
                 console.print(f"[dim]{name} left out: {each}[/]")
                 continue
             self._print(each, console)
             if self.output is not None:
-                keep(each, self.output)
+                keep_tuned_values(each, self.output)
             results[name] = each.to_json()
         return results
 
     def _tune(self, name: str, scenario: Scenario, console: Console) -> dict[str, Any]:
-        from agents.experiments.controller_tuning import keep, kept_values, tune
+        from agents.experiments.controller_tuning import keep_tuned_values, kept_values, tune
 
         with progress_bar() as progress:
             task = progress.add_task(f"tuning {name}", total=None)
@@ -123,7 +123,7 @@ class Tune(CommandOptions):
             )
         self._print(tuning, console)
         if self.output is not None:
-            keep(tuning, self.output)
+            keep_tuned_values(tuning, self.output)
             console.print(f"wrote {self.output}")
         return tuning.to_json()
 

@@ -9,7 +9,7 @@ import shake_env
 from agents.deployment.channels import current_channel, identifier, observation_channels
 from agents.deployment.laws import block_of
 from agents.deployment.program import Precision, Program
-from agents.policies.policy_file import digest
+from agents.policies.policy_file import file_digest
 from agents.policies.registry import find_controller, get_controller, policy_path, values_for
 from agents.provenance import code_version
 from shake_env.controller import Controller
@@ -55,7 +55,7 @@ def controller_program(
     }
     entry = find_controller(name)
     if entry.kind in ("shipped", "file"):
-        provenance["policy"] = f"sha256 {digest(policy_path(name, known_name(scenario)))}"
+        provenance["policy"] = f"sha256 {file_digest(policy_path(name, known_name(scenario)))}"
     values = values_for(name, scenario)
     if values is not None:
         given = ", ".join(f"{key}={value:.6g}" for key, value in values.parameters.items())

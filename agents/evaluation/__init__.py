@@ -7,7 +7,7 @@ __getattr__, __all__ = names_of(
     {
         "benchmark": (
             "run_benchmark",
-            "difference",
+            "difference_of_result",
             "result_file",
         ),
         "bound": (
@@ -19,7 +19,7 @@ __getattr__, __all__ = names_of(
             "Bounds",
             "earthquake_bounds",
         ),
-        "bootstrap": (
+        "statistics": (
             "cost_ratio",
             "mean_interval",
         ),

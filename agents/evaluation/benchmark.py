@@ -16,7 +16,7 @@ from agents.evaluation.results import Comparison, GroupSummary, plain_row
 from agents.evaluation.scores import below_bound
 from agents.policies.registry import ORACLE
 from agents.provenance import machine
-from agents.run_directory import described, read_json
+from agents.run_directory import names_in_words, read_json
 from agents.seeds import TEST_SEED
 from baselines.registry import reference_name
 from baselines.tuned_values import TunedValues
@@ -55,7 +55,7 @@ def run_benchmark(
         raise ParameterError("earthquakes", earthquakes, "an interval needs at least 2")
     scenario = make_scenario(scenario_name)
     recorded = scenario.reserved_for_testing
-    found = compare(
+    comparison = compare(
         scenario,
         names,
         noise=0 if recorded else earthquakes,
@@ -65,39 +65,39 @@ def run_benchmark(
         bound=True,
         on_progress=on_progress,
     )
-    assert found.bounds is not None
-    bound = found.bounds.to_json()
+    assert comparison.bounds is not None
+    bound = comparison.bounds.to_json()
     if not bound["reason"]:
         bound["below"] = [
             {"controller": name, **each}
-            for name, rows in found.episodes.items()
+            for name, rows in comparison.episodes.items()
             for each in below_bound([[row.cost for row in rows]], bound["costs"], bound["disagreements"])
         ]
     return {
-        "scenario": label(scenario_name),
+        "scenario": scenario_label(scenario_name),
         "fields": _file_fields(scenario_name),
         "version": shake_env.__version__,
         "machine": machine(),
         "seed": None if recorded else TEST_SEED,
         "reference": reference_name(scenario),
-        "information": found.information,
+        "information": comparison.information,
         "bound": bound,
         "causal_bound": causal_bound(scenario),
         "controllers": list(names),
-        "skipped": found.skipped,
-        "warnings": found.warnings,
-        "values": values_to_json(found.values),
-        "rows": [plain_row(asdict(row)) for row in ranked(found)],
+        "skipped": comparison.skipped,
+        "warnings": comparison.warnings,
+        "values": values_to_json(comparison.values),
+        "rows": [plain_row(asdict(row)) for row in ranked_summaries(comparison)],
     }
 
 
-def ranked(found: Comparison) -> list[GroupSummary]:
-    """Return the summaries by cost, no control last."""
+def ranked_summaries(found: Comparison) -> list[GroupSummary]:
+    """Return a benchmark's summaries by cost, no control last."""
     return sorted(found.summaries, key=lambda row: (row.controller == "none", row.relative_cost))
 
 
-def label(scenario_name: str) -> str:
-    """Return what a scenario's result is called: its name, or that of its file without the ending."""
+def scenario_label(scenario_name: str) -> str:
+    """Return what a scenario's benchmark is called: its name, or that of its file without the ending."""
     return Path(scenario_name).stem if is_scenario_file(scenario_name) else scenario_name
 
 
@@ -109,12 +109,12 @@ def _file_fields(scenario_name: str) -> dict[str, Any] | None:
 
 
 def result_file(folder: str | PathLike[str], scenario_name: str) -> Path:
-    """Return the file of the result of a scenario, by its name or its own file."""
-    return Path(folder) / f"bench_{label(scenario_name)}.json"
+    """Return the file of a scenario's benchmark, by its name or its own file."""
+    return Path(folder) / f"bench_{scenario_label(scenario_name)}.json"
 
 
 def read_result(file: str | PathLike[str]) -> dict[str, Any]:
-    """Return the result that a file holds.
+    """Return the result of a benchmark that a file holds.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def read_result(file: str | PathLike[str]) -> dict[str, Any]:
             row.setdefault(name, "-" if name in _WORDS else None)
         lacks += [f"rows.{f.name}" for f in fields(GroupSummary) if not _fits(row, f.name)]
     if lacks:
-        parts = described(dict.fromkeys(lacks))
+        parts = names_in_words(dict.fromkeys(lacks))
         remedy = f"is no complete result of shake benchmark (see {parts}): run it with --rerun"
         raise FileError("file", str(file), remedy)
     return result
@@ -158,7 +158,7 @@ def _fits(row: dict[str, Any], name: str) -> bool:
 
 
 def read_results(folder: str | PathLike[str]) -> list[dict[str, Any]]:
-    """Return the results that a folder holds, in the order of `SCENARIOS`.
+    """Return the benchmarks that a folder holds, in the order of `SCENARIOS`.
 
     Raises
     ------
@@ -170,10 +170,10 @@ def read_results(folder: str | PathLike[str]) -> list[dict[str, Any]]:
     return [read_result(file) for file in files if file.exists()]
 
 
-def difference(
+def difference_of_result(
     known: dict[str, Any], scenario_name: str, asked: int, names: Sequence[str], tuned: Path | None
 ) -> str:
-    """Return in what a result differs from what is asked for, in words; empty: in nothing.
+    """Return in what a benchmark's result differs from what is asked for, in words; empty: in nothing.
 
     Parameters
     ----------
@@ -189,10 +189,10 @@ def difference(
         File of tuned values that is named.
     """
     number = known["rows"][0]["earthquakes"]
-    if known["scenario"] != label(scenario_name):
-        return f"is of {known['scenario']}, not {label(scenario_name)}"
+    if known["scenario"] != scenario_label(scenario_name):
+        return f"is of {known['scenario']}, not {scenario_label(scenario_name)}"
     if known.get("fields") != _file_fields(scenario_name):
-        return f"is of another scenario that is called {label(scenario_name)}, too"
+        return f"is of another scenario that is called {scenario_label(scenario_name)}, too"
     if known["seed"] is not None and number != asked:
         return f"was made with {number} earthquakes, not {asked}"
     before = known.get("controllers", list(CONTROLLERS))

@@ -106,7 +106,7 @@ def earthquake_bounds(
     -------
     None, with the reason, where the equations are not the corrected ones or numba is missing.
     """
-    found: list[EpisodeBound] = []
+    bounds: list[EpisodeBound] = []
     for first in range(0, len(earthquakes), BATCH):
         batch = earthquakes[first : first + BATCH]
 
@@ -114,7 +114,7 @@ def earthquake_bounds(
             on_progress((first + share * number) / len(earthquakes))
 
         try:
-            found += _batch(scenario, batch, told)
+            bounds += _batch(scenario, batch, told)
         except ScenarioError as error:
             return Bounds(reason=error.remedy)
         except ShakeError as error:
@@ -122,26 +122,26 @@ def earthquake_bounds(
                 raise
             return Bounds(reason=error.remedy)
     on_progress(1.0)
-    lost = sum(not math.isfinite(each.cost) for each in found)
+    lost = sum(not math.isfinite(each.cost) for each in bounds)
     if lost:
         return Bounds(reason=f"no currents that keep the limits were found on {lost} earthquakes")
-    return Bounds(tuple(found))
+    return Bounds(tuple(bounds))
 
 
 def _batch(
     scenario: Scenario, earthquakes: Sequence[Earthquake], told: Callable[[float], None]
 ) -> list[EpisodeBound]:
     keys = [_key(episode) for episode in episodes(scenario, earthquakes)]
-    found = {key: known for key in keys if (known := _read(key)) is not None}
+    bound_of = {key: known for key in keys if (known := _read(key)) is not None}
     # Copies of one motion are one.
-    missing = [i for i, key in enumerate(keys) if key not in found and keys.index(key) == i]
+    missing = [i for i, key in enumerate(keys) if key not in bound_of and keys.index(key) == i]
     if missing:
         optima = optimal_episodes(
             scenario, [earthquakes[i] for i in missing], threads=THREADS, on_step=told
         )
         for i, optimum in zip(missing, optima, strict=True):
-            found[keys[i]] = _keep(keys[i], optimum)
-    return [found[key] for key in keys]
+            bound_of[keys[i]] = _keep(keys[i], optimum)
+    return [bound_of[key] for key in keys]
 
 
 def _key(episode: Episode) -> str:

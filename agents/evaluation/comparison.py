@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.evaluation.bootstrap import _interval, _mean, _ratio
 from agents.evaluation.bound_store import Bounds, earthquake_bounds
 from agents.evaluation.controller_set import get_controllers, require_names
 from agents.evaluation.fidelity import Fidelity, fidelity
 from agents.evaluation.latency import decision_time
 from agents.evaluation.results import Comparison, GroupSummary
+from agents.evaluation.statistics import _interval, _mean, _ratio
 from agents.evaluation.tracking import TrackingFigures, tracking_figures
 from agents.policies.registry import ORACLE, find_controller, get_driven, information_of
-from agents.run_directory import described
+from agents.run_directory import names_in_words
 from agents.seeds import COMPARISON_SEED
 from baselines.information import scenario_information
 from baselines.iterative.drive_file import DriveFile
@@ -126,16 +126,16 @@ def compare(
         def report(share: float, name: str = name) -> None:
             on_progress(name, share)
 
-        episodes[name], found = rollout(
+        episodes[name], histories = rollout(
             controller, driven[name], earthquakes, record=range(len(earthquakes)), on_step=report
         )
-        traces[name] = found[traced]
+        traces[name] = histories[traced]
         if isinstance(controller, Supervised):
             shares[name] = controller.interventions().share
         step, stories = scenario.physics_step, scenario.specimen.stories
-        on_histories(name, [(quake, found[i]) for i, quake in enumerate(earthquakes)])
-        fidelities[name] = [fidelity(found[i], step, stories) for i in range(len(earthquakes))]
-        tracking[name] = [tracking_figures(found[i], step) for i in range(len(earthquakes))]
+        on_histories(name, [(quake, histories[i]) for i, quake in enumerate(earthquakes)])
+        fidelities[name] = [fidelity(histories[i], step, stories) for i in range(len(earthquakes))]
+        tracking[name] = [tracking_figures(histories[i], step) for i in range(len(earthquakes))]
         # What is made for each lane's own earthquake or plant has no decision for one table to time.
         untimed = find_controller(name).needs_earthquakes
         latency[name] = float("nan") if untimed else decision_time(controller, scenario)
@@ -167,7 +167,7 @@ def compare(
     of_each = [group for group, members in groups.items() for _ in members]
     return Comparison(
         summaries, episodes, fidelities, traces, reference, name, chosen.skipped, shares, of_each,
-        chosen.values, [*chosen.warnings, *repeats(earthquakes)], tracking, bounds,
+        chosen.values, [*chosen.warnings, *repeated_motions(earthquakes)], tracking, bounds,
         scenario_information(scenario), scenario.input_unit, tuple(events),
     )  # fmt: skip
 
@@ -193,7 +193,7 @@ def _over_bound(
     }
 
 
-def repeats(earthquakes: Sequence[Earthquake]) -> list[str]:
+def repeated_motions(earthquakes: Sequence[Earthquake]) -> list[str]:
     """Return a sentence that names the recorded motions which repeat another one; empty: none does."""
     first: dict[Any, str] = {}
     copies = []
@@ -211,7 +211,7 @@ def repeats(earthquakes: Sequence[Earthquake]) -> list[str]:
         return []
     number = len(first) + len(copies)
     return [
-        f"of {number} recorded motions {len(first)} are distinct ({described(copies)}): "
+        f"of {number} recorded motions {len(first)} are distinct ({names_in_words(copies)}): "
         "copies count in means and make intervals too narrow"
     ]
 

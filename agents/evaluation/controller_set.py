@@ -157,5 +157,5 @@ def describe_values(values: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def values_to_json(values: Mapping[str, ParameterValues]) -> dict[str, Any]:
-    """Return the parameter values and their sources as plain JSON values."""
+    """Return controllers' parameter values and their sources as plain JSON values."""
     return {name: each.to_json() for name, each in values.items()}

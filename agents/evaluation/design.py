@@ -28,7 +28,7 @@ def design(
     tuned: TunedValues | None = None,
     tell: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
-    """Return what a scenario's controller is expected to give, and its full-state LQR, as plain values.
+    """Return a controller's expected errors and its full-state LQR, as `shake design` shows them.
 
     The controller is the scenario's reference (`baselines.registry.reference_name`). Where theory gives
     its performance exactly it is calculated; else it is simulated on the scenario's own motion.
@@ -66,8 +66,8 @@ def design(
     name, performance = "lqr", result.performance
     if preview := scenario.sensing.preview:
         spacing = scenario.sensing.preview_spacing
-        seen = preview_lqr(scenario.discrete, scenario.stage_cost, preview, spacing)
-        name, performance = "preview-lqr", seen.performance
+        preview_design = preview_lqr(scenario.discrete, scenario.stage_cost, preview, spacing)
+        name, performance = "preview-lqr", preview_design.performance
     bound = {
         "controller": name,
         "acceleration_rms_ratio": performance.acceleration_rms_ratio,

@@ -31,7 +31,7 @@ class Fidelity:
 
 
 def fidelity(trajectory: Trajectory, physics_step: float, stories: int) -> Fidelity:
-    """Return the fidelity of a test.
+    """Return the fidelity of a test: spectra, cross-correlation and the other measures of `Fidelity`.
 
     The energy is the work of the base shear on the first storey's drift, by trapezoids over the control
     periods: what damping and yielding took, once the storey has come to rest.

@@ -17,11 +17,11 @@ from agents.evaluation.controller_set import values_to_json
 from agents.evaluation.fidelity import fidelity
 from agents.evaluation.latency import decision_time
 from agents.evaluation.results import plain_row
-from agents.evaluation.scores import Episodes, below_bound, cost_figures, summary
+from agents.evaluation.scores import Episodes, below_bound, cost_figures, result_row
 from agents.evaluation.training_distance import training_warning
 from agents.execution.units import Unit, UnitRunner, report
 from agents.policies.own_controller import is_own_controller, own_baseline, own_source
-from agents.policies.policy_file import PolicyFile, digest, load_policy
+from agents.policies.policy_file import PolicyFile, file_digest, load_policy
 from agents.policies.registry import (
     CLASSICAL,
     SHIPPED,
@@ -115,12 +115,12 @@ def policy_files(path: str | PathLike[str]) -> list[Path]:
     if (own := policy_of_run(path)).exists():
         return [own]
     # Seed 10 comes after seed 9.
-    found = sorted(path.glob(f"*/{POLICY}"), key=lambda f: (len(f.parent.name), f.parent.name))
-    if not found:
+    files = sorted(path.glob(f"*/{POLICY}"), key=lambda f: (len(f.parent.name), f.parent.name))
+    if not files:
         raise PolicyFileError(
             "entry", str(path), f"holds no {POLICY} or {BEST}, and no runs with a {POLICY}"
         )
-    return found
+    return files
 
 
 def _learned(name: str, files: Sequence[Path], scenario: Scenario) -> Entry:
@@ -137,7 +137,7 @@ def _learned(name: str, files: Sequence[Path], scenario: Scenario) -> Entry:
                 "command": policy.card.get("command"),
                 "version": policy.card.get("version"),
                 "code": policy.card.get("code"),
-                "sha256": digest(file),
+                "sha256": file_digest(file),
             }
         )
     return Entry(name, tuple(policies), tuple(sources))
@@ -157,7 +157,7 @@ def evaluate(
     runner: UnitRunner | None = None,
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
 ) -> dict[str, Any]:
-    """Return the result of the protocol as plain JSON values.
+    """Return the result of the evaluation protocol as plain JSON values.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def evaluate(
         "resamples": resamples,
     }
     summaries = [
-        summary(name, found, **yardsticks)
+        result_row(name, found, **yardsticks)
         | {
             "information": information_of(_shown_name(rows[name]), scenario),
             "decision_time": latency[name],
@@ -304,8 +304,8 @@ def _bounds(
     before = (known or {}).get("bound")
     if before is not None and before["code"] == search_code():
         return {key: value for key, value in before.items() if key != "below"}
-    found: Bounds = earthquake_bounds(scenario, quakes[:MOST_BOUNDS], on_progress=on_progress)
-    return found.to_json()
+    bounds: Bounds = earthquake_bounds(scenario, quakes[:MOST_BOUNDS], on_progress=on_progress)
+    return bounds.to_json()
 
 
 def _check_same(found: dict[str, Any], before: dict[str, Any] | None) -> None:

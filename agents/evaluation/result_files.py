@@ -7,7 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from agents.run_directory import described, read_json
+from agents.run_directory import names_in_words, read_json
 from shake_env.errors import FileError
 from shake_env.files import write_text
 from shake_env.renamed import RESULT_KEYS
@@ -16,7 +16,7 @@ PREFIX = "evaluation_"  # of a result's file name in docs/results
 
 
 def write_result(result: dict[str, Any], file: str | PathLike[str]) -> None:
-    """Write a result; a reader never sees half of it."""
+    """Write a result of the evaluation protocol; a reader never sees half of it."""
     file = Path(file)
     write_text(file, _dumps(result))
 
@@ -31,7 +31,7 @@ def _dumps(result: dict[str, Any]) -> str:
 
 
 def read_result(file: str | PathLike[str]) -> dict[str, Any]:
-    """Return the result that a file holds.
+    """Return the result of the evaluation protocol that a file holds.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def read_result(file: str | PathLike[str]) -> dict[str, Any]:
         if name not in result["episodes"] or not set(_ROW) <= set(row):
             lacks.append(f"rows.{name}")
     if lacks:
-        remedy = f"is no complete result of shake evaluate (see {described(lacks)}): make it anew"
+        remedy = f"is no complete result of shake evaluate (see {names_in_words(lacks)}): make it anew"
         raise FileError("file", str(file), remedy)
     return result
 
@@ -65,7 +65,7 @@ _ROW = (
 
 
 def read_results(folder: str | PathLike[str]) -> dict[str, dict[str, Any]]:
-    """Return the results of a folder by the name of their files, without its prefix.
+    """Return the protocol's results of a folder by the name of their files, without its prefix.
 
     Raises
     ------

@@ -211,12 +211,12 @@ class Comparison:
 
     def by_event(self) -> dict[str, dict[str, float]]:
         """Return the cost over the reference's by event and controller; {}: there are no events."""
-        found = {}
+        costs = {}
         for event in dict.fromkeys(self.events):
             members = [i for i, each in enumerate(self.events) if each == event]
             sums = {n: sum(rows[i].cost for i in members) for n, rows in self.episodes.items()}
-            found[event] = {name: cost / sums[self.reference] for name, cost in sums.items()}
-        return found
+            costs[event] = {name: cost / sums[self.reference] for name, cost in sums.items()}
+        return costs
 
     def notes(self) -> list[str]:
         """Return what a reader has to know of the controllers, in sentences."""

@@ -31,7 +31,7 @@ from agents.evaluation.perturbations import (
 from agents.execution.units import Unit, UnitRunner
 from agents.plain_values import typed
 from agents.policies.own_controller import is_own_controller, own_source
-from agents.policies.policy_file import PolicyFile, digest
+from agents.policies.policy_file import PolicyFile, file_digest
 from agents.policies.registry import ORACLE, policies_trained_for, policy_path
 from agents.provenance import code_version, machine
 from agents.seeds import ROBUSTNESS_SEED
@@ -101,15 +101,15 @@ class Grid:
         """Return every change once; the first, empty, leaves the scenario as it is."""
         changes: dict[Change, None] = {(): None}
         for name, values in self.sweeps.items():
-            changes |= {point(scenario, {name: value}): None for value in values}
+            changes |= {without_nominal(scenario, {name: value}): None for value in values}
         for x, y in self.maps:
             for a in self.coarse[x]:
-                changes |= {point(scenario, {x: a, y: b}): None for b in self.coarse[y]}
+                changes |= {without_nominal(scenario, {x: a, y: b}): None for b in self.coarse[y]}
         return list(changes)
 
 
-def point(scenario: Scenario, values: Mapping[str, float]) -> Change:
-    """Return a change without what leaves the scenario as it is: nominal values that are not drawn."""
+def without_nominal(scenario: Scenario, values: Mapping[str, float]) -> Change:
+    """Return a perturbation without the nominal values that are not drawn: they change nothing."""
     return tuple(
         (name, values[name])
         for name in QUANTITIES
@@ -147,7 +147,7 @@ def controllers_with_sources(
             sources[name] = {
                 "algorithm": config.get("algorithm"),
                 "seed": config.get("seed"),
-                "sha256": digest(policy_path(name, known_name(scenario))),
+                "sha256": file_digest(policy_path(name, known_name(scenario))),
             }
     return chosen, sources
 
@@ -271,7 +271,7 @@ def _quantity(scenario: Scenario, name: str, values: Sequence[float]) -> dict[st
 
 
 def failed(metrics: EpisodeMetrics) -> bool:
-    """Return whether a test failed: a limit ended it, or standing still would have served it better.
+    """Return whether a perturbed test failed: a limit ended it, or standing still would have cost less.
 
     A scenario without limits lets an unstable loop go on; a motionless table's acceleration error is 1.
     """
@@ -323,12 +323,14 @@ def evaluate_perturbations(
             on_progress(units[index].name, done[units[index].name] / len(groups))
 
     results = iter((runner or UnitRunner()).run(units, told))
-    found: dict[str, list[list[EpisodeMetrics]]] = {name: [[] for _ in changes] for name in controllers}
+    metrics: dict[str, list[list[EpisodeMetrics]]] = {
+        name: [[] for _ in changes] for name in controllers
+    }
     for name in controllers:
         for members in groups.values():
             for index, rows in zip(members, next(results), strict=True):
-                found[name][index] = [typed(EpisodeMetrics, row) for row in rows]
-    return found
+                metrics[name][index] = [typed(EpisodeMetrics, row) for row in rows]
+    return metrics
 
 
 def _perturbed(

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation.bootstrap import (
+from agents.evaluation.bound_store import SOLVER_TOLERANCE
+from agents.evaluation.statistics import (
     Scores,
     Statistic,
     estimate,
@@ -17,7 +18,6 @@ from agents.evaluation.bootstrap import (
     ratio_of_means,
     worst_mean,
 )
-from agents.evaluation.bound_store import SOLVER_TOLERANCE
 
 MEANS = (
     "acceleration_rms_error",
@@ -73,7 +73,7 @@ class Episodes:
         return {**plain, "broken_limits": ended}
 
 
-def summary(
+def result_row(
     name: str,
     episodes: Episodes,
     *,
@@ -82,7 +82,7 @@ def summary(
     optimum: float | None,
     resamples: int,
 ) -> dict[str, Any]:
-    """Return a row of a result: figures, each with value, low and high of its 95 % interval.
+    """Return a controller's row of the protocol's result: figures with their 95 % intervals.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def summary(
 def cost_figures(
     cost: Scores, normaliser: Scores, reference: Scores, optimum: float | None, resamples: int
 ) -> dict[str, Any]:
-    """Return those figures of a row that come of costs alone, (runs, earthquakes); see `summary`.
+    """Return those figures of a row that come of costs alone, (runs, earthquakes); see `result_row`.
 
     What is relative to the normaliser is of the earthquakes that it has, the first ones.
     """

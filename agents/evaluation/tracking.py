@@ -47,7 +47,7 @@ class TrackingFigures:
 
 
 def tracking_figures(trajectory: Trajectory, physics_step: float) -> TrackingFigures:
-    """Return the figures of a test.
+    """Return the tracking figures of a test: peaks, rms, delay, bands, energy.
 
     Parameters
     ----------

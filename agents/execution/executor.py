@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any
 
 from agents.execution.environment import WorkerError, environment
-from agents.execution.worker import Call, Conditions, Outcome, pack
+from agents.execution.worker import Call, Conditions, Outcome, pack_calls
 from agents.progress import display
 from shake_env.errors import ShakeError
 
@@ -40,7 +40,7 @@ class Executor(ABC):
 
     @abstractmethod
     def submit(self, content: bytes) -> Future[list[Outcome]]:
-        """Have `worker.perform` carry out packed calls."""
+        """Have `worker.perform_calls` carry out packed calls."""
 
     @abstractmethod
     def cancel(self) -> None:
@@ -93,7 +93,7 @@ class Executor(ABC):
                     members, attempt = waiting.popleft()
                     for index in members:
                         on_submit(index)
-                    future = self.submit(pack([calls[i] for i in members], conditions))
+                    future = self.submit(pack_calls([calls[i] for i in members], conditions))
                     running[future] = members, attempt
                 with self.waiting():
                     done, _ = wait(running, timeout=PERIOD, return_when=FIRST_COMPLETED)

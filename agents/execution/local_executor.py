@@ -10,7 +10,7 @@ from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from multiprocessing.connection import Connection
 
 from agents.execution.executor import Executor
-from agents.execution.worker import THREAD_VARIABLES, Outcome, perform
+from agents.execution.worker import THREAD_VARIABLES, Outcome, perform_calls
 
 
 class LocalExecutor(Executor):
@@ -64,7 +64,7 @@ class _Worker:
         before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
         os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
         try:
-            self._future = self._pool.submit(perform, content)
+            self._future = self._pool.submit(perform_calls, content)
         finally:
             for name, value in before.items():
                 if value is None:

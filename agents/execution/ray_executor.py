@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from agents.execution.executor import Executor
-from agents.execution.worker import GIB, THREAD_VARIABLES, Outcome, perform
+from agents.execution.worker import GIB, THREAD_VARIABLES, Outcome, perform_calls
 from shake_env.errors import ParameterError, ShakeError, install_hint
 
 OBJECT_STORE = 200 * 2**20  # [byte] of a cluster that is started here; what travels is small
@@ -69,7 +69,9 @@ class RayExecutor(Executor):
             remedy = "no node of the cluster has a core and so much memory: ask for less"
             raise ParameterError("worker-memory", memory, remedy)
         self.workers = workers or self.room()
-        self._task = ray.remote(perform).options(num_cpus=1, memory=int(memory * GIB), max_retries=0)
+        self._task = ray.remote(perform_calls).options(
+            num_cpus=1, memory=int(memory * GIB), max_retries=0
+        )
 
     def room(self) -> int:
         """Return how many workers the cluster has cores and memory for, now."""

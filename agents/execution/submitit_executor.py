@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.execution.executor import Executor
-from agents.execution.worker import THREAD_VARIABLES, Outcome, perform
+from agents.execution.worker import THREAD_VARIABLES, Outcome, perform_calls
 from shake_env.errors import ParameterError, ShakeError, install_hint
 
 WAVES = 4  # jobs for each worker that many short calls become
@@ -75,7 +75,7 @@ class SubmititExecutor(Executor):
     def submit(self, content: bytes) -> Future[list[Outcome]]:
         """Submit a job."""
         future: Future[list[Outcome]] = Future()
-        job = self._engine.submit(perform, content)
+        job = self._engine.submit(perform_calls, content)
         with self._lock:
             self._jobs[future] = job
         return future

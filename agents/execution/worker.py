@@ -82,8 +82,8 @@ class Conditions:
     memory: float | None = None  # [GiB] bound of a process; None: none
 
 
-def pack(calls: list[Call], conditions: Conditions) -> bytes:
-    """Return calls in the form in which they travel."""
+def pack_calls(calls: list[Call], conditions: Conditions) -> bytes:
+    """Return calls in the form in which they travel to a worker."""
     for name, module in list(sys.modules.items()):
         if name.startswith("shake_own_"):  # a file's module, which no other process can import
             cloudpickle.register_pickle_by_value(module)
@@ -91,8 +91,8 @@ def pack(calls: list[Call], conditions: Conditions) -> bytes:
     return content
 
 
-def perform(content: bytes) -> list[Outcome]:
-    """Return the outcomes of calls that `pack` packed; runs on the worker."""
+def perform_calls(content: bytes) -> list[Outcome]:
+    """Return the outcomes of calls that `pack_calls` packed; runs on the worker."""
     calls, conditions = cloudpickle.loads(content)
     try:
         require_same_environment(conditions.environment)

@@ -6,7 +6,7 @@ __getattr__, __all__ = names_of(
     __name__,
     {
         "controller_tuning": (
-            "keep",
+            "keep_tuned_values",
             "kept_values",
             "tune",
         ),

@@ -28,9 +28,9 @@ from agents.experiments.study_storage import (
     storage_errors,
 )
 from agents.policies.own_controller import is_own_controller, own_baseline, own_source
-from agents.run_directory import locked
+from agents.run_directory import locked_folder
 from agents.seeds import VALIDATION_SEED
-from baselines.catalogue import Baseline, Tunable
+from baselines.baseline import Baseline, Tunable
 from baselines.registry import baseline_of, parameter_values
 from baselines.searched_lqg import LQG_SEARCHED, LQG_SEARCHED_FORCE, searched_baseline, searched_values
 from baselines.tuned_values import TunedEntry, TunedValues, read_tuned, write_tuned
@@ -80,7 +80,7 @@ def tune(
     tuned: TunedValues | None = None,
     on_trial: Callable[[int, int, float], None] = lambda done, total, best: None,
 ) -> TuningResult:
-    """Search, or go on with a search.
+    """Search a controller's parameters for the least cost, or go on with that search.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def tune(
             # Two processes would both try the starts, and draw the same trials.
             file = Path(storage)
             home = file.with_name(f"{file.stem}-locks") / re.sub(r"[^\w.-]+", "_", study)
-            held.enter_context(locked(home, field="study"))
+            held.enter_context(locked_folder(home, field="study"))
         held.enter_context(storage_errors(storage))
         result = search(cost, tunable, storage, study, total, seed, on_trial, starts)
     return TuningResult(
@@ -167,10 +167,10 @@ def tune_each(
     """
     options = (str(storage), budget, earthquakes, seed)
     units = [Unit(name, _tuned, (name, scenario, tuned, *options)) for name in names]
-    found = runner.run(units, lambda index, share: on_progress(names[index], share))
+    tunings = runner.run(units, lambda index, share: on_progress(names[index], share))
     return {
         name: each if isinstance(each, str) else TuningResult(**each)
-        for name, each in zip(names, found, strict=True)
+        for name, each in zip(names, tunings, strict=True)
     }
 
 
@@ -232,7 +232,7 @@ def starting_points(
 
 
 def trials_of(budget: int, steps: int) -> int:
-    """Return how many trials of `steps` control periods a budget pays for.
+    """Return how many tuning trials of `steps` control periods a budget pays for.
 
     Raises
     ------
@@ -276,7 +276,7 @@ def search(
     on_trial: Callable[[int, int, float], None],
     starts: Sequence[Mapping[str, float]],
 ) -> StudyResult:
-    """Search `tunable` for the least cost in `total` trials, those of other processes counted.
+    """Search a controller's `tunable` parameters in `total` trials, those of other processes counted.
 
     The first trials are `starts`; what the first of them costs is the result's `default_cost`.
     """
@@ -352,8 +352,8 @@ def _finished(study: Any) -> int:
     return sum(trial.value is not None for trial in study.trials)
 
 
-def keep(tuning: TuningResult, file: str | PathLike[str]) -> None:
-    """Put a result into a file of tuned values, in place of one for the same controller and scenario.
+def keep_tuned_values(tuning: TuningResult, file: str | PathLike[str]) -> None:
+    """Put a search's result into a file of tuned values, in place of that of the same search.
 
     Raises
     ------
@@ -374,5 +374,5 @@ def keep(tuning: TuningResult, file: str | PathLike[str]) -> None:
 
 
 def kept_values(file: Path | None) -> TunedValues | None:
-    """Return the values of a file that results are put into; None where there is no such file yet."""
+    """Return the tuned values that a file of results holds; None where there is no such file yet."""
     return read_tuned(file) if file is not None and file.exists() else None

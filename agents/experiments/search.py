@@ -30,23 +30,23 @@ from agents.experiments.search_objective import (
     PruningCallback,
     ValidationSet,
 )
-from agents.experiments.search_space import TRAIN_SEED, own_values, space, space_json, trial_config
+from agents.experiments.search_space import (
+    TRAIN_SEED,
+    own_values,
+    search_space,
+    search_space_json,
+    trial_config,
+)
 from agents.experiments.search_trace import Trace, TrialRow
 from agents.policies.policy_file import load_policy
 from agents.progress import Progress
 from agents.provenance import code_version, machine
-from agents.run_directory import POLICY, locked
+from agents.run_directory import POLICY, locked_folder
 from agents.seeds import VALIDATION_SEED
 from agents.training.checkpoint import delete_checkpoints
 from agents.training.config import config_of
 from agents.training.run import train_or_resume
-from shake_env.errors import (
-    ParameterError,
-    PolicyFileError,
-    RunDirectoryError,
-    ScenarioError,
-    unknown,
-)
+from shake_env.errors import ParameterError, PolicyFileError, RunDirectoryError, ScenarioError, unknown
 
 UNJUDGED = 5  # trials that no pruner ends: a median of fewer says little
 
@@ -84,7 +84,7 @@ class Search:
     def identity(self) -> str:
         """Return everything that decides a trial, so that no search mixes two kinds of them."""
         config = trial_config(self.experiment, {}, self.share).to_json()
-        return json.dumps([config, space_json(space(self.experiment))])
+        return json.dumps([config, search_space_json(search_space(self.experiment))])
 
     def same(self, identity: str) -> bool:
         """Return whether that is this search's; options that it does not know have their defaults."""
@@ -146,7 +146,7 @@ def _opened(search: Search, storage: str | PathLike[str]) -> tuple[Any, bool]:
     identity = search.identity()
     if not search.same(study.user_attrs.get("identity", identity)):
         remedy = f"holds {search.name} of another experiment or space: give another --storage or --seed"
-        raise ParameterError("storage", study_storage.shown(storage), remedy)
+        raise ParameterError("storage", study_storage.without_password(storage), remedy)
     study.set_user_attr("identity", identity)
     return study, made
 
@@ -168,7 +168,7 @@ def _queue(study: Any, search: Search, new: bool, worker: str) -> None:
 
     if new:
         own = own_values(search.experiment)
-        start = {knob.name: own[knob.name] for knob in space(search.experiment)}
+        start = {knob.name: own[knob.name] for knob in search_space(search.experiment)}
         study.enqueue_trial(start, user_attrs={"default": True})
     for cut in _with_states(study, "RUNNING"):
         if cut.user_attrs.get("worker", "") != worker:
@@ -187,7 +187,7 @@ def search_training(
     minutes: float | None = None,
     on_update: Callable[[SearchProgress], None] = lambda standing: None,
 ) -> Trace:
-    """Search, or go on with a search.
+    """Search training configurations of an experiment for the least cost, or go on with that search.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ def _searched(
         if shared:
             slot = study_storage.free_slot(home, held)
         else:
-            held.enter_context(locked(home))
+            held.enter_context(locked_folder(home))
             made = not _with_states(study, "COMPLETE", "PRUNED", "RUNNING", "WAITING")
         worker = f"{socket.gethostname()}:{home.resolve()}/{slot}" if shared else ""
         validation = ValidationSet(search.experiment, search.earthquakes)
@@ -300,7 +300,7 @@ def _judged(
 ) -> None:
     import optuna
 
-    values = {knob.name: knob.suggest(trial) for knob in space(search.experiment)}
+    values = {knob.name: knob.suggest(trial) for knob in search_space(search.experiment)}
     config = trial_config(search.experiment, values, search.share)
     run = home / trial.user_attrs.get("run", str(trial.number))
     before, began = trial.user_attrs.get("seconds", 0.0), time.process_time()
@@ -359,8 +359,8 @@ def _standing(
 
 
 def trace_of(search: Search, study: Any) -> Trace:
-    """Return the trace of a search as far as it is done."""
-    knobs, own = space(search.experiment), own_values(search.experiment)
+    """Return the trace of a training search as far as it is done."""
+    knobs, own = search_space(search.experiment), own_values(search.experiment)
     rows = []
     for trial in _done(study):
         attributes = trial.user_attrs

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from agents.experiments.search_space import Choice, Knob
-from agents.experiments.search_trace import Trace, TrialRow, file_name
+from agents.experiments.search_trace import Trace, TrialRow, trace_file_name
 from agents.figure_style import (
     BLACK,
     BLUE,
@@ -38,7 +38,7 @@ BEST: dict[str, Any] = {"marker": "*", "facecolors": ORANGE, "edgecolors": BLACK
 
 
 def search_figure(trace: Trace, folder: str | PathLike[str]) -> Path:
-    """Draw a search into `folder` and return the path of its PNG."""
+    """Draw a training search into `folder` and return the path of its PNG."""
     folder = Path(folder)
     with figure_style():
         rows = math.ceil(len(trace.space) / ACROSS)
@@ -53,7 +53,7 @@ def search_figure(trace: Trace, folder: str | PathLike[str]) -> Path:
             row[0].set_ylabel(f"cost / {trace.reference}")
         handles, labels = panels.flat[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), handlelength=1.0)
-        path = folder / f"{file_name(trace.experiment)}.png"
+        path = folder / f"{trace_file_name(trace.experiment)}.png"
         write_figure(figure, path)
     return path
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation.bootstrap import cost_ratio
+from agents.evaluation.statistics import cost_ratio
 from agents.experiments.catalogue import EVALUATION_TASKS, ExperimentConfig
 from agents.experiments.controller_tuning import FAILED
 from agents.progress import Progress
-from agents.run_directory import evaluations
+from agents.run_directory import evaluations_of_run
 from agents.seeds import VALIDATION_SEED
 from agents.training.config import TrainConfig
 from baselines.registry import make_baseline, reference_name
@@ -80,7 +80,7 @@ class PruningCallback:
         a trial is ended does not go by the clock.
         """
         self.best = math.inf
-        for steps, ratio in sorted(dict(evaluations(self.run)).items()):
+        for steps, ratio in sorted(dict(evaluations_of_run(self.run)).items()):
             self.best = min(self.best, ratio if math.isfinite(ratio) else FAILED)
             place = steps * self.config.evaluations // self.config.steps
             if place in self._told:

@@ -169,8 +169,8 @@ def own_values(experiment: ExperimentConfig) -> dict[str, Value]:
     return values
 
 
-def space(experiment: ExperimentConfig) -> tuple[Knob, ...]:
-    """Return what a search may change about an experiment, each with its own value in it."""
+def search_space(experiment: ExperimentConfig) -> tuple[Knob, ...]:
+    """Return the search space of an experiment: what may change, each with its own value in it."""
     own = own_values(experiment)
     knobs = [
         knob.holding(own[knob.name])  # type: ignore[arg-type]  # a range's own value is a number
@@ -255,15 +255,15 @@ def trial_config(experiment: ExperimentConfig, values: Mapping[str, Value], shar
     return replace(config, **changed)
 
 
-def space_json(knobs: Sequence[Knob]) -> list[dict[str, Any]]:
-    """Return the space as plain JSON values."""
+def search_space_json(knobs: Sequence[Knob]) -> list[dict[str, Any]]:
+    """Return a search space as plain JSON values."""
     return [
         {**asdict(k), "values": list(k.values)} if isinstance(k, Choice) else asdict(k) for k in knobs
     ]
 
 
-def space_of(rows: Sequence[Mapping[str, Any]]) -> tuple[Knob, ...]:
-    """Return the space that :func:`space_json` made these values of."""
+def search_space_of(rows: Sequence[Mapping[str, Any]]) -> tuple[Knob, ...]:
+    """Return the search space that :func:`search_space_json` made these values of."""
     return tuple(
         Choice(**{**row, "values": tuple(row["values"])}) if "values" in row else Range(**row)
         for row in rows

@@ -10,7 +10,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from agents.experiments.search_space import Choice, Knob, Value, space_json, space_of
+from agents.experiments.search_space import Choice, Knob, Value, search_space_json, search_space_of
 from agents.reporting.markdown_blocks import markdown_table, put
 from agents.run_directory import read_json
 from shake_env.errors import ParameterError
@@ -78,7 +78,7 @@ class Trace:
         states = [t.state for t in self.trials]
         counts = {state: states.count(state) for state in sorted(set(states))}
         seconds = round(sum(t.seconds for t in self.trials), 1)
-        plain = {**asdict(self), "space": space_json(self.space)}
+        plain = {**asdict(self), "space": search_space_json(self.space)}
         plain["trials"] = [asdict(t) for t in self.trials]
         return {"format": FORMAT, "budget": {**counts, "processor_seconds": seconds}, **plain}
 
@@ -88,7 +88,7 @@ def _cost(row: TrialRow) -> float:
 
 
 def write_trace(trace: Trace, file: str | PathLike[str]) -> None:
-    """Write a trace, a trial on each line; a reader never sees half of it.
+    """Write the trace of a training search, a trial on each line; a reader never sees half of it.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def write_trace(trace: Trace, file: str | PathLike[str]) -> None:
 
 
 def read_trace(file: str | PathLike[str]) -> Trace:
-    """Return the trace that a file holds.
+    """Return the trace of a training search that a file holds.
 
     Raises
     ------
@@ -121,25 +121,25 @@ def read_trace(file: str | PathLike[str]) -> Trace:
             raise KeyError("format")
         values.pop("budget")
         rows = tuple(TrialRow(**row) for row in values.pop("trials"))
-        return Trace(**{**values, "space": space_of(values["space"]), "trials": rows})
+        return Trace(**{**values, "space": search_space_of(values["space"]), "trials": rows})
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         remedy = f"holds no trace of an experiment's search ({error}): make it anew with --keep"
         raise ParameterError("trace", str(file), remedy) from error
 
 
 def read_traces(folder: str | PathLike[str]) -> list[Trace]:
-    """Return the traces of a folder, in the order of their files' names."""
+    """Return the search traces of a folder, in the order of their files' names."""
     folder = Path(folder)
     return [read_trace(file) for file in sorted(folder.glob(f"{PREFIX}*.json"))]
 
 
-def file_name(experiment: str) -> str:
-    """Return the name, without ending, of an experiment's trace and of its figure."""
+def trace_file_name(experiment: str) -> str:
+    """Return the name, without ending, of the files of an experiment's search: trace and figure."""
     return PREFIX + experiment.replace("/", "_")
 
 
-def markdown(trace: Trace, figures: str) -> str:
-    """Return a search as a section of a page: what was spent, what was found, a table and the figure.
+def search_markdown(trace: Trace, figures: str) -> str:
+    """Return a training search as a section of a page: costs, best values, a table, the figure.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def markdown(trace: Trace, figures: str) -> str:
         span = _chosen(knob, drawn) if isinstance(knob, Choice) else _span(drawn)
         values = (trace.own[knob.name], best.values[knob.name])
         rows.append((knob.meaning, _searched(knob), *map(_number, values), span))
-    figure = f"{figures}/{file_name(trace.experiment)}.png"
+    figure = f"{figures}/{trace_file_name(trace.experiment)}.png"
     caption = f"Cost of each trial of {trace.experiment} over each value that was searched"
     return "\n".join([*lines, markdown_table(head, rows), f"![{caption}]({figure})", ""])
 
@@ -219,4 +219,4 @@ def _chosen(knob: Choice, drawn: Sequence[Value]) -> str:
 def put_searches(page: str | PathLike[str], traces: Sequence[Trace], figures: str = "figures") -> None:
     """Put all searches into a page, at ``<!-- training searches -->``; see `marked_page.put`."""
     page = Path(page)
-    put(page, "training searches", "\n".join(markdown(trace, figures) for trace in traces))
+    put(page, "training searches", "\n".join(search_markdown(trace, figures) for trace in traces))

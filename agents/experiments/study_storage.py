@@ -19,7 +19,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, cast
 
-from agents.run_directory import InUseError, locked
+from agents.run_directory import InUseError, locked_folder
 from shake_env.errors import ParameterError, RunDirectoryError, ShakeError, install_hint
 from shake_env.files import file_errors, no_file
 
@@ -34,7 +34,7 @@ _OF_OPTUNA = {"version_info", "studies", "trials"}  # tables of every file of Op
 
 
 def is_shared(storage: str | PathLike[str]) -> bool:
-    """Return whether a storage is one that several processes work on."""
+    """Return whether a study's storage is one that several processes work on."""
     return "://" in str(storage) or str(storage).startswith(_JOURNAL)
 
 
@@ -140,7 +140,7 @@ def free_slot(home: Path, held: ExitStack) -> str:
     """
     for number in range(SLOTS):
         try:
-            held.enter_context(locked(home / f"worker-{number}"))
+            held.enter_context(locked_folder(home / f"worker-{number}"))
         except InUseError:
             continue
         return f"worker-{number}"
@@ -206,11 +206,11 @@ def storage_errors(storage: str | PathLike[str]) -> Iterator[None]:
         remedy = f"cannot be used ({reason}): free some space, or name another file"
         if is_shared(storage):
             remedy = f"cannot be used ({reason}): is the server reachable, and its driver installed?"
-        raise ParameterError("storage", shown(storage), remedy) from error
+        raise ParameterError("storage", without_password(storage), remedy) from error
 
 
-def shown(storage: str | PathLike[str]) -> str:
-    """Return a storage without its password."""
+def without_password(storage: str | PathLike[str]) -> str:
+    """Return the address of a study's storage without its password."""
     import sqlalchemy.engine
     import sqlalchemy.exc
 

@@ -265,10 +265,10 @@ class Distillation(BaseAlgorithm):
         """Return the student's action (B,) before its clip, and its memory after."""
         policy = self.policy
         if isinstance(policy, GRUPolicy):
-            seen, memory = policy.recall(shown, torch.where(begun[:, None], 0.0, memory))
+            features, memory = policy.recall(shown, torch.where(begun[:, None], 0.0, memory))
         else:
-            seen = policy.pi_features_extractor(shown)
-        return policy.action_net(policy.mlp_extractor.forward_actor(seen))[:, 0], memory
+            features = policy.pi_features_extractor(shown)
+        return policy.action_net(policy.mlp_extractor.forward_actor(features))[:, 0], memory
 
     def dump_logs(self) -> None:
         """Write what was recorded, with times, to the logger."""

@@ -203,8 +203,8 @@ class SB3Controller:
         action = np.clip(base + self.action_scale * correction, -1.0, 1.0)
         if self._law is None:
             return action.astype(np.float32), own
-        kept = self._law.keep(known, action[..., 0].astype(float))
-        return action.astype(np.float32), (*(own or ()), kept, age + 1)
+        law_memory = self._law.keep(known, action[..., 0].astype(float))
+        return action.astype(np.float32), (*(own or ()), law_memory, age + 1)
 
 
 @dataclass(frozen=True)

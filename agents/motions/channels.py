@@ -105,7 +105,7 @@ class MotionOptions:
         return replace(scenario_capacity(scenario), **changes)
 
 
-def reading(record: Record) -> str:
+def how_a_file_was_read(record: Record) -> str:
     """Return the format of a record's file and, of a table, what each column was taken for."""
     attribution = dict(record.attribution)
     form = attribution.get("format", "embedded format")
@@ -149,7 +149,7 @@ class Channel:
 
 
 def channels(path: str | PathLike[str], options: MotionOptions, scenario: Scenario) -> list[Channel]:
-    """Return every channel of a file, with the scales that the scenario's table needs."""
+    """Return every channel of a motion's file, with the scales that the scenario's table needs."""
     path = Path(path)
     capacity = options.capacity(scenario)
     channel_list = []
@@ -177,7 +177,7 @@ def motion_earthquakes(
     capacity, amplitude = options.capacity(scenario), record_amplitude(scenario)
     for path in paths:
         records = options.read(path)
-        console.print(escape(f"{path.name}: {reading(records[0])}"))
+        console.print(escape(f"{path.name}: {how_a_file_was_read(records[0])}"))
         for record in records:
             plain = options.motion(record)
             fit = fit_amplitude(plain, capacity, physics_step=scenario.physics_step)

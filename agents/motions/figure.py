@@ -25,10 +25,10 @@ COLUMNS = 3000  # lowest and highest value of each that a curve is drawn with
 MOST_CHANNELS = 6  # a figure
 
 
-def draw(
+def draw_channels(
     channels: Sequence[Channel], capacity: TableCapacity, folder: str | PathLike[str], title: str
 ) -> list[Path]:
-    """Draw the channels side by side and return the paths written, which are named after `title`.
+    """Draw a recorded file's channels side by side; return the paths written, named after `title`.
 
     The curves are of the band that the table repeats, before scaling; lines mark the table's limits.
     Spectra are of the file's samples.

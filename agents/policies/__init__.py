@@ -15,7 +15,7 @@ __getattr__, __all__ = names_of(
         ),
         "policy_file": (
             "PolicyFile",
-            "digest",
+            "file_digest",
             "load_policy",
         ),
         "recurrent_cells": (

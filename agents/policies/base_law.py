@@ -44,7 +44,7 @@ def at_own_cost(scenario: Scenario, name: str) -> Scenario:
 
 
 def base_row(law: BaseLaw, scenario: Scenario, tuned_on: Scenario | None = None) -> FloatArray:
-    """Return the law as a row (n,): fraction of the current limit per entry of the observation.
+    """Return a base law as a row (n,): fraction of the current limit per entry of the observation.
 
     ``flow`` is the current whose steady flow is what the table's own velocity uses,
     ``u = A_p v_a / (K_q K_v)``: it leaves the policy the flow that accelerates the table. ``lqr`` is the

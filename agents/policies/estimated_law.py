@@ -211,10 +211,10 @@ class EstimatedLaw:
 
 
 def _matrices(scenario: Scenario, controller: EstimatedState, row: FloatArray) -> EstimatedLaw:
-    layout, seen = scenario.plant.layout, scenario.observation
+    layout, observation = scenario.plant.layout, scenario.observation
     model, recursion = controller.estimator.model, controller.recursion
     full = scenario.sensing.full_state
-    n, s, t, c = seen.size, len(model.C), model.order, model.commands + 1
+    n, s, t, c = observation.size, len(model.C), model.order, model.commands + 1
     w, r = layout.filter_states, 2 * layout.stories
     table, actions = slice(0, t), slice(t, t + c)
     ground, reference = slice(t + c, t + c + w), slice(t + c + w, t + c + w + r)
@@ -224,7 +224,7 @@ def _matrices(scenario: Scenario, controller: EstimatedState, row: FloatArray) -
     advance[actions, actions] = np.eye(c)
     if scenario.sensing.last_action:
         advance[actions.stop - 1, actions.stop - 1] = 0.0
-        advance[actions.stop - 1, size:] = look[seen.last_action][0]
+        advance[actions.stop - 1, size:] = look[observation.last_action][0]
     advance[table] = model.B @ advance[actions]
     advance[table, table] += model.A
     advance[ground, size:] = look[layout.ground]
@@ -238,10 +238,10 @@ def _matrices(scenario: Scenario, controller: EstimatedState, row: FloatArray) -
     begins[: ground.start] = 0.0
     begins[reference] = float(full)
     advance[size:] = -model.C @ advance[table]
-    advance[size:, size:] += look[layout.controlled if full else seen.readings]
+    advance[size:, size:] += look[layout.controlled if full else observation.readings]
     # From [known, observation] to what a full-state law is shown.
     known = np.eye(size, size + n)
-    preview = np.pad(look[seen.preview], ((0, 0), (size, 0)))
+    preview = np.pad(look[observation.preview], ((0, 0), (size, 0)))
     exogenous = controller.foresight @ np.vstack([known[ground], known[reference], preview])
     ahead = model.ahead @ np.vstack([known[table], known[actions][1:]])
     believed = np.vstack([exogenous[:w], ahead, exogenous[w:]])

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.catalogue import Baseline, Tunable
+from baselines.baseline import Baseline, Tunable
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError, ScenarioError, ShakeError
 from shake_env.scenario.scenario import Scenario

@@ -21,7 +21,7 @@ from safetensors.numpy import save
 from agents.earlier_names import present_card
 from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.policy_header import check_card, parse_header
-from agents.policies.recurrent_cells import PARTS, UNITS, GatedUnit, MemoryUnit, Weights, rest
+from agents.policies.recurrent_cells import PARTS, UNITS, GatedUnit, MemoryUnit, Weights, initial_state
 from shake_env.errors import PolicyFileError
 from shake_env.files import no_file, write_bytes
 from shake_env.scenario.limits import OBSERVATION_BOUND
@@ -121,7 +121,7 @@ class PolicyFile:
         hidden = np.clip(observation @ self.matrix.T, -self.feature_clip, self.feature_clip)
         memory: tuple[Any, ...] | None = None
         if self.memory is not None:
-            past = rest(self.memory, hidden.shape[:-1])
+            past = initial_state(self.memory, hidden.shape[:-1])
             if state is not None:
                 past = tuple(state[: self.memory.arrays])
                 if episode_start is not None:
@@ -231,8 +231,8 @@ class PolicyFile:
         write_bytes(path, save(contiguous, {"shake": json.dumps(header, sort_keys=True)}))
 
 
-def digest(file: str | PathLike[str]) -> str:
-    """Return the SHA-256 of a file."""
+def file_digest(file: str | PathLike[str]) -> str:
+    """Return the SHA-256 of a policy file."""
     return hashlib.sha256(Path(file).read_bytes()).hexdigest()
 
 

@@ -47,7 +47,7 @@ def parse_header(text: str) -> dict[str, Any]:
 
 
 def check_card(card: object) -> None:
-    """Raise PolicyFileError if a field of a card that the program reads has the wrong type."""
+    """Raise PolicyFileError if a field of a policy's card that the program reads has the wrong type."""
     card = _mapping("card", card)
     _check("card", card, CARD)
     config = card.get("config", {})

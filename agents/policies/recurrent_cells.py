@@ -101,8 +101,8 @@ UNITS: dict[str, type[GatedUnit] | type[LongShortTermUnit]] = {
 PARTS = ("input_weight", "hidden_weight", "input_bias", "hidden_bias")
 
 
-def rest(unit: MemoryUnit, lanes: tuple[int, ...]) -> tuple[Weights, ...]:
-    """Return the state of a unit at the start of an episode, arrays (*lanes, units)."""
+def initial_state(unit: MemoryUnit, lanes: tuple[int, ...]) -> tuple[Weights, ...]:
+    """Return a recurrent unit's state at the start of an episode, arrays (*lanes, units)."""
     return tuple(np.zeros((*lanes, unit.units), np.float32) for _ in range(unit.arrays))
 
 

@@ -19,7 +19,7 @@ from baselines.registry import (
     CLASSICAL,
     ParameterValues,
     baseline_of,
-    designed,
+    designed_controller,
     parameter_values,
 )
 from baselines.searched_lqg import SUMMARIES
@@ -74,8 +74,8 @@ def controllers() -> dict[str, ControllerEntry]:
         ControllerEntry(ORACLE, "oracle", "linear law for the true plant: full state, 0.5 s of preview")
     )
     for name in SHIPPED:
-        found = (_shipped_file(name, scenario) for scenario in NAMED)
-        files = dict.fromkeys(file.stem for file in found if file is not None)
+        shipped = (_shipped_file(name, scenario) for scenario in NAMED)
+        files = dict.fromkeys(file.stem for file in shipped if file is not None)
         summary = f"learned; as the scenario has it: {', '.join(files)}"
         entries.append(ControllerEntry(name, "shipped", summary))
     return {entry.name: entry for entry in entries}
@@ -142,7 +142,7 @@ def get_controller(
         baseline = baseline_of(entry.name, scenario) if classical else own_baseline(entry.name)
         if parameters is None:
             parameters = parameter_values(entry.name, scenario).parameters
-        return designed(entry.name, baseline, scenario, parameters, earthquakes)
+        return designed_controller(entry.name, baseline, scenario, parameters, earthquakes)
     return load_policy(policy_path(entry.name, known_name(scenario))).reading(scenario)
 
 
@@ -186,7 +186,7 @@ def values_for(
 
 
 def policy_path(name: str, scenario_name: str = "linear") -> Path:
-    """Return the file of a policy: one that ships, as the scenario has it, or that of a path.
+    """Return the path of a policy file: one that ships, as the scenario has it, or that of a path.
 
     A run directory stands for its policy; while it is not finished, for the best one so far.
     """

@@ -24,7 +24,7 @@ __getattr__, __all__ = names_of(
         "robustness_figures": ("draw_robustness",),
         "robustness_tables": (
             "read_robustness",
-            "section",
+            "robustness_section",
             "write_robustness",
         ),
         "terminal": (

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from agents.evaluation.results import cost_text
-from agents.reporting.bound_notes import bound_notes, causal_notes, class_note, marked
+from agents.reporting.bound_notes import bound_notes, causal_notes, class_note, marked_class
 from agents.reporting.markdown_blocks import markdown_table, put
 
 
-def markdown(result: dict[str, Any]) -> str:
-    """Return a result as a Markdown table."""
+def benchmark_markdown(result: dict[str, Any]) -> str:
+    """Return a benchmark's result as a Markdown table."""
     head = (
         "controller", "information", "cost / bound [95 %]", f"cost / {result['reference']} [95 %]",
         "regret closed %", "accel. % rms, peak", "shear % rms, peak", "lag ms",
@@ -34,7 +34,7 @@ def markdown(result: dict[str, Any]) -> str:
         ratios = [f"{row[f'{name}_ratio']:.2f}" for name in ("arias", "drift", "energy")]
         decision = "-" if row["decision_time"] is None else f"{1e6 * row['decision_time']:.0f}"
         rows.append(
-            [row["controller"], marked(row["information"], own), *costs, closed, *errors, lag,
+            [row["controller"], marked_class(row["information"], own), *costs, closed, *errors, lag,
              f"{100 * row['spectral_error']:.0f}", *ratios, str(row["broken_limits"]), decision]
         )  # fmt: skip
     number = result["rows"][0]["earthquakes"]
@@ -56,7 +56,7 @@ def markdown(result: dict[str, Any]) -> str:
 
 
 def put_tables(page: str | PathLike[str], results: Sequence[dict[str, Any]]) -> None:
-    """Put the tables of results into a page, each at ``<!-- bench NAME -->``; see `marked_page.put`."""
+    """Put benchmark tables into a page, each at ``<!-- bench NAME -->``; see `markdown_blocks.put`."""
     page = Path(page)
     for result in results:
-        put(page, f"bench {result['scenario']}", markdown(result), end=result["scenario"])
+        put(page, f"bench {result['scenario']}", benchmark_markdown(result), end=result["scenario"])

@@ -7,30 +7,30 @@ from typing import Any
 
 import numpy as np
 
-from baselines.information import MEANINGS, within
+from baselines.information import MEANINGS, knows_no_more
 
 MARK = "\u2020"  # of a class that knows more than the scenario shows
 
 
-def marked(information: str, own: str) -> str:
+def marked_class(information: str, own: str) -> str:
     """Return a row's class of information, with a mark where it knows more than a scenario shows."""
-    return f"{information} {MARK}" if beyond(information, own) else information
+    return f"{information} {MARK}" if knows_more(information, own) else information
 
 
-def beyond(information: str, own: str) -> bool:
-    """Return whether a class knows more than the scenario's own; an unknown one (``-``) does not."""
-    return bool(own) and information != "-" and not within(information, own)
+def knows_more(information: str, own: str) -> bool:
+    """Return whether a class of information knows more than the scenario's own; ``-`` does not."""
+    return bool(own) and information != "-" and not knows_no_more(information, own)
 
 
 def class_note(classes: Sequence[str], own: str) -> list[str]:
-    """Return what the classes in a table mean and what the mark says; nothing where all are one."""
+    """Return what the classes of information in a table mean; nothing where all are one."""
     if all(each == own for each in classes):
         return []
     meanings = "; ".join(
         f"*{name}*: {text}" for name, text in MEANINGS.items() if name in (*classes, own)
     )
     lines = [f"Information: {meanings}. The scenario shows: {own}."]
-    if any(beyond(each, own) for each in classes):
+    if any(knows_more(each, own) for each in classes):
         lines.append(
             f"{MARK}: knows more than the scenario shows; its cost is not comparable with that of "
             "controllers without the mark."
@@ -89,7 +89,7 @@ def causal_notes(
     if causal["exact"]:
         over = "" if mean is None else f" That is {causal['cost'] / mean:.3f} of the bound."
         return [f"Causal bound: J* = {causal['text']}.{over}"]
-    attained = [row for row in rows if not beyond(row["information"], own)]
+    attained = [row for row in rows if not knows_more(row["information"], own)]
     if not attained:
         return []
     best = min(attained, key=lambda row: row["mean_cost"])

@@ -14,7 +14,7 @@ from rich.console import Console
 from agents.evaluation.fidelity import Fidelity
 from agents.evaluation.results import Comparison, GroupSummary, cost_text, drive_column
 from agents.figure_style import save_figure, tracking_figure
-from agents.reporting.bound_notes import bound_notes, class_note, marked
+from agents.reporting.bound_notes import bound_notes, class_note, marked_class
 from agents.reporting.csv_file import write_csv
 from agents.reporting.summary_text import QUESTIONS, verdict
 from agents.reporting.terminal import print_table
@@ -24,7 +24,7 @@ from shake_env.simulation.metrics import EpisodeMetrics
 
 
 def print_tables(comparison: Comparison, console: Console) -> None:
-    """Print one table a group of earthquakes."""
+    """Print a comparison as one table a group of earthquakes."""
     groups = dict.fromkeys(summary.group for summary in comparison.summaries)
     drive, unit, _ = drive_column(comparison.input_unit)
     ended = any(summary.broken_limits for summary in comparison.summaries)
@@ -40,7 +40,7 @@ def print_tables(comparison: Comparison, console: Console) -> None:
         cells = [
             [
                 _label(row.controller),
-                marked(row.information, comparison.information),
+                marked_class(row.information, comparison.information),
                 *(cell(row, comparison) for _, cell in columns),
             ]
             for row in rows
@@ -79,7 +79,7 @@ def print_tables(comparison: Comparison, console: Console) -> None:
 
 
 def print_verdict(comparison: Comparison, scenario: Scenario, console: Console) -> None:
-    """Print who wins, where it loses and what limits it, as a table of three rows."""
+    """Print who wins a comparison, where it loses and what limits it, as a table of three rows."""
     sentences = verdict(comparison, scenario, _label).sentences
     rows = list(zip(QUESTIONS, sentences, strict=True))
     print_table(console, ("verdict", ""), rows, left=(1,), fold=1)
@@ -150,7 +150,7 @@ COLUMNS: tuple[tuple[str, Callable[[GroupSummary, Comparison], str]], ...] = (
 def write_files(
     comparison: Comparison, settings: dict[str, Any], folder: str | PathLike[str]
 ) -> list[Path]:
-    """Write comparison.json, summary.csv, episodes.csv and the figure; return their paths."""
+    """Write a comparison's JSON, CSV files and figure; return their paths."""
     folder = Path(folder)
     paths = [folder / "comparison.json", folder / "summary.csv", folder / "episodes.csv"]
     write_json(paths[0], comparison.to_json(settings))

@@ -36,5 +36,5 @@ def write_csv(
 
 
 def csv_cell(value: Any) -> Any:
-    """Return a value as it is written: a text that begins with one of `FORMULA` is quoted by ``'``."""
+    """Return a value as a CSV file has it: what begins with one of `FORMULA` is quoted by ``'``."""
     return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.reporting.bound_notes import bound_notes, causal_notes, class_note, marked
+from agents.reporting.bound_notes import bound_notes, causal_notes, class_note, marked_class
 from agents.reporting.markdown_blocks import has_place, markdown_table, put
 
 COLUMNS = (
@@ -17,8 +17,8 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def markdown(result: dict[str, Any]) -> str:
-    """Return a result as a Markdown table with what is needed to read it."""
+def evaluation_markdown(result: dict[str, Any]) -> str:
+    """Return the protocol's result as a Markdown table with what is needed to read it."""
     same = result["normaliser"] == result["reference"]
     head = [column.format(**result) for column in COLUMNS]
     names = ["drift_error", "energy_error", "regret_closed", "optimality"]
@@ -31,7 +31,7 @@ def markdown(result: dict[str, Any]) -> str:
     rows = [
         [
             row["controller"],
-            marked(row.get("information", "-"), own),
+            marked_class(row.get("information", "-"), own),
             str(row["runs"]) if row["sources"] else "-",
             cost_interval(row["relative_cost"]),
             cost_interval(row["interquartile_mean"]),
@@ -95,7 +95,7 @@ def _scale(name: str) -> float:
 
 
 def ranked(result: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows by cost, a controller that is the normaliser first."""
+    """Return the rows of the protocol's result by cost, a controller that is the normaliser first."""
     first = result["normaliser"]
     return sorted(result["rows"], key=lambda r: (r["controller"] != first, r["relative_cost"]["value"]))
 
@@ -109,7 +109,7 @@ def interval(figure: dict[str, float] | None, digits: int, scale: float = 1.0) -
 
 
 def put_tables(page: str | PathLike[str], results: dict[str, dict[str, Any]]) -> list[str]:
-    """Put the tables of results into a page, each at ``<!-- evaluation NAME -->``.
+    """Put tables of the protocol's results into a page, each at ``<!-- evaluation NAME -->``.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def put_tables(page: str | PathLike[str], results: dict[str, dict[str, Any]]) ->
     missing = []
     for name, result in results.items():
         if has_place(page, f"evaluation {name}"):
-            put(page, f"evaluation {name}", markdown(result), end=name)
+            put(page, f"evaluation {name}", evaluation_markdown(result), end=name)
         else:
             missing.append(name)
     return missing

@@ -18,13 +18,13 @@ def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def has_place(page: str | PathLike[str], place: str) -> bool:
-    """Whether a page has a beginning ``<!-- PLACE -->``; False where there is no page."""
+    """Return whether a page has a beginning ``<!-- PLACE -->``; False where there is no page."""
     page = Path(page)
     return page.is_file() and _begin(place) in page.read_text(encoding="utf-8")
 
 
 def put(page: str | PathLike[str], place: str, text: str, end: str | None = None) -> None:
-    """Write `with_block` of the same arguments into the page.
+    """Write a text into a page's place; see `with_block`.
 
     Raises
     ------

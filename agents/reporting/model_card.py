@@ -8,13 +8,11 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from matplotlib.ticker import FormatStrFormatter, NullFormatter
-
-from agents.figure_style import BLUE, GREY, figure_style, new_figure, write_figure
-from agents.policies.policy_file import PolicyFile, digest, load_policy
+from agents.policies.policy_file import PolicyFile, file_digest, load_policy
 from agents.reporting.evaluation_tables import interval
+from agents.reporting.figures.training_curve import draw_training_curve
 from agents.reporting.markdown_blocks import markdown_table
-from agents.reporting.robustness_tables import findings, read_robustness
+from agents.reporting.robustness_tables import read_robustness, robustness_findings
 from agents.scenario_options import given_options
 from shake_env.errors import ParameterError
 from shake_env.files import write_text
@@ -62,7 +60,7 @@ def write_card(
         If the policy cannot be read.
     """
     file = Path(file)
-    policy, sha = load_policy(file), digest(file)
+    policy, sha = load_policy(file), file_digest(file)
     evaluations = [(result, _row(result, path, sha)) for path, result in _read(results)]
     unlike = [] if robustness is None else robustness_of(robustness, sha)
     if robustness is not None and not unlike:
@@ -73,7 +71,7 @@ def write_card(
     figure = None
     if len(policy.card.get("curve", ())) > 1:
         figure = file.with_suffix(".png")
-        draw_curve(policy.card["curve"], figure)
+        draw_training_curve(policy.card["curve"], figure)
         written.append(figure)
     text = card_text(policy, file, sha, evaluations, figure, limits, unlike)
     write_text(written[0], text)
@@ -81,12 +79,12 @@ def write_card(
 
 
 def robustness_of(file: str | PathLike[str], sha: str) -> list[str]:
-    """Return what a robustness result says of the policy with this SHA-256; nothing if it lacks it."""
+    """Return what a robustness result says of the policy with this SHA-256, for its model card."""
     file = Path(file)
     result = read_robustness(file)
     for each in result["controllers"]:
         if each["source"] is not None and each["source"]["sha256"] == sha:
-            return findings(result, each["name"])
+            return robustness_findings(result, each["name"])
     return []
 
 
@@ -114,7 +112,7 @@ def card_text(
     limits: str,
     unlike: Sequence[str] = (),
 ) -> str:
-    """Return the card as Markdown.
+    """Return the model card of a policy as Markdown.
 
     Parameters
     ----------
@@ -238,25 +236,3 @@ def _limits(
     if limits:
         lines.append(f"- {limits}")
     return lines
-
-
-def draw_curve(curve: Sequence[Sequence[float]], file: str | PathLike[str]) -> None:
-    """Draw cost ratio over steps of training."""
-    file = Path(file)
-    with figure_style():
-        figure = new_figure(5.0, 2.6)
-        axes = figure.subplots()
-        steps = [row[0] / 1e6 for row in curve]
-        axes.plot(steps, [row[1] for row in curve], color=BLUE, marker="o", markersize=3.0)
-        axes.axhline(1.0, color=GREY, linewidth=1.0, linestyle=(0, (4, 2)))
-        ratios = [row[1] for row in curve]
-        if max(ratios) > 3.0:
-            axes.set_yscale("log")
-            axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
-            # Within a decade the ticks between its ends are all there is to read.
-            narrow = max(ratios) < 10.0 * min(ratios)
-            between = FormatStrFormatter("%g") if narrow else NullFormatter()
-            axes.yaxis.set_minor_formatter(between)
-        axes.set_xlabel("control periods of all tables [million]")
-        axes.set_ylabel("cost / reference [-]")
-        write_figure(figure, file)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ from agents.figure_style import (
     save_figure,
     write_figure,
 )
-from agents.reporting.robustness_tables import Point, at, label, sweep
+from agents.reporting.robustness_tables import Point, controller_label, point_at, sweep_points
 from shake_env.model.parameters import FloatArray
 
 LEAST, MOST = 0.3, 4.0  # of the relative cost that panels show; what lies beyond stands at the edge
@@ -38,7 +39,7 @@ DARKEST = np.log(2.5)  # a map's colour is full at 2.5 times the reference's cos
 def draw_robustness(
     result: dict[str, Any], folder: str | PathLike[str], *, svg: bool = True
 ) -> list[Path]:
-    """Draw a result and return the files written.
+    """Draw a robustness result and return the files written.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ def draw_robustness(
     folder = Path(folder)
     written = []
     with figure_style():
-        for name, figure in figures(result).items():
+        for name, figure in robustness_figures(result).items():
             if svg:
                 written += save_figure(figure, folder, name)
                 continue
@@ -61,8 +62,8 @@ def draw_robustness(
     return written
 
 
-def figures(result: dict[str, Any]) -> dict[str, Figure]:
-    """Return the figures of a result by name: its sweeps, and its maps if it has any."""
+def robustness_figures(result: dict[str, Any]) -> dict[str, Figure]:
+    """Return the figures of a robustness result by name: its sweeps, and its maps if it has any."""
     name = f"robustness_{result['scenario']}"
     return {name: _sweeps(result)} | ({f"{name}_maps": _maps(result)} if result["maps"] else {})
 
@@ -91,8 +92,8 @@ def _legend(result: dict[str, Any]) -> list[Any]:
     mark: dict[str, Any] = {"color": BLACK, "linestyle": "", "markersize": 5.5}
     return [
         *(
-            Line2D([], [], label=label(each), markersize=5.0, **CONTROLLERS[i % len(CONTROLLERS)])
-            for i, each in enumerate(result["controllers"])
+            Line2D([], [], label=controller_label(each), markersize=5.0, **style)
+            for each, style in zip(result["controllers"], cycle(CONTROLLERS), strict=False)
         ),
         Line2D([], [], label=f"{result['reference']}'s own cost / unchanged", **TARGET),
         Line2D([], [], marker="x", markeredgewidth=1.6, label="above: lost tests", **mark),
@@ -104,7 +105,7 @@ def _legend(result: dict[str, Any]) -> list[Any]:
 
 
 def _panel(ax: Axes, result: dict[str, Any], quantity: dict[str, Any]) -> None:
-    shown, points, values = result["controllers"], sweep(result, quantity), quantity["values"]
+    shown, points, values = result["controllers"], sweep_points(result, quantity), quantity["values"]
     if quantity["trained"]:
         ax.axvspan(*quantity["trained"], color=SHADE, linewidth=0.0, zorder=0.5)
     ax.axvline(quantity["nominal"], color=GREY, linestyle="--", linewidth=1.0, zorder=1.0)
@@ -139,7 +140,7 @@ def _panel(ax: Axes, result: dict[str, Any], quantity: dict[str, Any]) -> None:
 def _own_cost(result: dict[str, Any], points: list[Point]) -> FloatArray:
     """Return the reference's cost over its own where nothing is changed, at the same amplitude."""
     name = result["reference"]
-    unchanged = at(result)["cost"][name]
+    unchanged = point_at(result)["cost"][name]
     amplitude = np.array([point["changes"].get("amplitude", 1.0) for point in points])
     own: FloatArray = np.array([point["cost"][name] for point in points]) / (unchanged * amplitude**2)
     return own
@@ -185,7 +186,7 @@ def _maps(result: dict[str, Any]) -> Figure:
                 else:
                     ax.set_yticklabels([])
                 if number == 0:
-                    ax.set_title(label(each))
+                    ax.set_title(controller_label(each))
         figure.suptitle(
             f"cost / {result['reference']}; framed: made for; x: lost tests; "
             f"held: lost none where {result['reference']} did",
@@ -207,7 +208,7 @@ def _map(ax: Axes, result: dict[str, Any], pair: dict[str, Any], controller: str
     by_name = {quantity["name"]: quantity for quantity in result["quantities"]}
     for i, x in enumerate(pair["xs"]):
         for j, y in enumerate(pair["ys"]):
-            point = at(result, **{pair["x"]: x, pair["y"]: y})
+            point = point_at(result, **{pair["x"]: x, pair["y"]: y})
             gone = point["failures"][controller] > 0
             ratio = point["relative_cost"][controller]
             face: Any = SHADE

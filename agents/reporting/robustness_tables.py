@@ -20,8 +20,8 @@ MATTERS = (
 Point = dict[str, Any]
 
 
-def at(result: dict[str, Any], **values: float) -> Point:
-    """Return the point of a result where these quantities have these values and no other is changed.
+def point_at(result: dict[str, Any], **values: float) -> Point:
+    """Return a robustness result's point with these values of quantities and nothing else changed.
 
     Raises
     ------
@@ -37,25 +37,25 @@ def at(result: dict[str, Any], **values: float) -> Point:
     raise ParameterError("point", values, "is not in the result: run shake robustness with it")
 
 
-def sweep(result: dict[str, Any], quantity: dict[str, Any]) -> list[Point]:
-    """Return the points of a quantity's values, ascending."""
-    return [at(result, **{quantity["name"]: value}) for value in quantity["values"]]
+def sweep_points(result: dict[str, Any], quantity: dict[str, Any]) -> list[Point]:
+    """Return the points of a quantity's sweep in a robustness result, ascending."""
+    return [point_at(result, **{quantity["name"]: value}) for value in quantity["values"]]
 
 
-def classical(result: dict[str, Any]) -> list[str]:
-    """Return the names of the controllers that are no policies."""
+def classical_controllers(result: dict[str, Any]) -> list[str]:
+    """Return the names of a robustness result's controllers that are no policies."""
     return [each["name"] for each in result["controllers"] if each["source"] is None]
 
 
-def label(each: dict[str, Any]) -> str:
+def controller_label(each: dict[str, Any]) -> str:
     """Return a controller's name, with a policy's algorithm where the name does not say it."""
     name, algorithm = each["name"], (each["source"] or {}).get("algorithm")
     short = Path(name).name if "/" in name else name
     return short if algorithm in (None, short) else f"{short} ({algorithm})"
 
 
-def where(values: Sequence[float], chosen: Sequence[bool], unit: str) -> str:
-    """Return which of ascending values are chosen, in words: up to, from, at, to, every value."""
+def range_in_words(values: Sequence[float], chosen: Sequence[bool], unit: str) -> str:
+    """Return which of a sweep's ascending values are chosen, in words: up to, from, at, to, every."""
     if all(chosen):
         return "at every value"
     parts, last = [], len(values) - 1
@@ -83,15 +83,15 @@ def _runs(chosen: Sequence[bool]) -> list[tuple[int, int]]:
 
 def best_classical(result: dict[str, Any], point: Point) -> str | None:
     """Return the cheapest classical controller of those that lost no test there; None: all lost one."""
-    held = [name for name in classical(result) if not point["failures"][name]]
+    held = [name for name in classical_controllers(result) if not point["failures"][name]]
     return min(held, key=lambda name: point["cost"][name]) if held else None
 
 
-def findings(result: dict[str, Any], controller: str) -> list[str]:
+def robustness_findings(result: dict[str, Any], controller: str) -> list[str]:
     """Return sentences on where a controller loses tests, and where a classical one costs less."""
     tests, losses, dearer, total = len(result["earthquakes"]), [], [], 0
     for quantity in result["quantities"]:
-        points, values = sweep(result, quantity), quantity["values"]
+        points, values = sweep_points(result, quantity), quantity["values"]
         gone = [point["failures"][controller] > 0 for point in points]
         total += sum(point["failures"][controller] for point in points)
         what, unit = quantity["title"], quantity["unit"]
@@ -99,15 +99,19 @@ def findings(result: dict[str, Any], controller: str) -> list[str]:
             spared = [
                 g and best_classical(result, p) is not None for p, g in zip(points, gone, strict=True)
             ]
-            beside = f", a classical one none {where(values, spared, unit)}" if any(spared) else ""
-            losses.append(f"{what} {where(values, gone, unit)}{beside}")
+            beside = (
+                f", a classical one none {range_in_words(values, spared, unit)}" if any(spared) else ""
+            )
+            losses.append(f"{what} {range_in_words(values, gone, unit)}{beside}")
         ratios = [_over_best(result, point, controller) for point in points]
         worse = [ratio > MATTERS for ratio, _ in ratios]
         if any(worse):
             most = max(range(len(points)), key=lambda i: ratios[i][0])
             ratio, name = ratios[most]
             place = f"{values[most]:.3g}" + ("" if unit == "-" else f" {unit}")
-            dearer.append(f"{what} {where(values, worse, unit)} ({ratio:.2f} times {name}'s at {place})")
+            dearer.append(
+                f"{what} {range_in_words(values, worse, unit)} ({ratio:.2f} times {name}'s at {place})"
+            )
     count = tests * sum(len(quantity["values"]) for quantity in result["quantities"])
     lost = f"Lost {total} of {count} tests: {'; '.join(losses)}." if losses else ""
     sentences = [lost or f"Lost none of {count} tests with one thing changed."]
@@ -117,7 +121,9 @@ def findings(result: dict[str, Any], controller: str) -> list[str]:
         share = f"{MATTERS - 1.0:.0%}"
         sentences.append(f"Nowhere, where it held, did a classical controller cost {share} less.")
     for each in result["maps"]:
-        pairs = [at(result, **{each["x"]: x, each["y"]: y}) for x in each["xs"] for y in each["ys"]]
+        pairs = [
+            point_at(result, **{each["x"]: x, each["y"]: y}) for x in each["xs"] for y in each["ys"]
+        ]
         gone = [point for point in pairs if point["failures"][controller]]
         alone = [point for point in gone if best_classical(result, point)]
         if gone:
@@ -138,13 +144,13 @@ def _over_best(result: dict[str, Any], point: Point, controller: str) -> tuple[f
     return point["cost"][controller] / point["cost"][best], best
 
 
-def markdown(result: dict[str, Any]) -> str:
-    """Return a result as a Markdown table: cost over the reference's, and where tests were lost."""
+def robustness_markdown(result: dict[str, Any]) -> str:
+    """Return a robustness result as Markdown: cost over the reference's, and where tests were lost."""
     shown = result["controllers"]
-    head = ["quantity", "made for", *(label(each) for each in shown)]
+    head = ["quantity", "made for", *(controller_label(each) for each in shown)]
     rows = []
     for quantity in result["quantities"]:
-        points, values = sweep(result, quantity), quantity["values"]
+        points, values = sweep_points(result, quantity), quantity["values"]
         unit = "" if quantity["unit"] == "-" else f" {quantity['unit']}"
         trained = quantity["trained"] or (quantity["nominal"],)
         cells = [
@@ -176,26 +182,30 @@ def _cell(result: dict[str, Any], points: list[Point], values: list[float], unit
     ]
     low, high = (f"{f(held):.2f}" for f in (min, max)) if held else ("-", "-")
     text = low if low == high else f"{low} to {high}"
-    return f"{text}; lost {where(values, gone, unit)}" if any(gone) else text
+    return f"{text}; lost {range_in_words(values, gone, unit)}" if any(gone) else text
 
 
-def section(result: dict[str, Any], pictures: Sequence[Path] = ()) -> str:
-    """Return what a page says of a result: pictures, table, and every policy's findings."""
+def robustness_section(result: dict[str, Any], pictures: Sequence[Path] = ()) -> str:
+    """Return what a page says of a robustness result: pictures, table, and every policy's findings."""
     what = {True: "pairs of things changed", False: "one thing changed at a time"}
     parts = [
         f"![Cost over {result['reference']}'s on {result['scenario']}, "
         f"{what[picture.stem.endswith('_maps')]}]({picture.as_posix()})\n"
         for picture in pictures
     ]
-    parts.append(markdown(result))
+    parts.append(robustness_markdown(result))
     learned = [each for each in result["controllers"] if each["source"] is not None]
     for each in learned or result["controllers"]:
-        parts.append(f"**{label(each)}.** " + " ".join(findings(result, each["name"])) + "\n")
+        parts.append(
+            f"**{controller_label(each)}.** "
+            + " ".join(robustness_findings(result, each["name"]))
+            + "\n"
+        )
     return "\n".join(parts)
 
 
 def write_robustness(result: dict[str, Any], file: str | PathLike[str]) -> None:
-    """Write a result with a point on a line."""
+    """Write a robustness result with a point on a line."""
     file = Path(file)
     head = json.dumps({key: value for key, value in result.items() if key != "points"}, indent=1)[:-2]
     points = ",\n".join(f"  {json.dumps(point)}" for point in result["points"])
@@ -203,7 +213,7 @@ def write_robustness(result: dict[str, Any], file: str | PathLike[str]) -> None:
 
 
 def read_robustness(file: str | PathLike[str], scenario: str | None = None) -> dict[str, Any]:
-    """Return a result.
+    """Return the robustness result that a file holds.
 
     Parameters
     ----------

@@ -12,8 +12,8 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from agents.evaluation.bootstrap import cost_ratio
 from agents.evaluation.results import Comparison, GroupSummary
+from agents.evaluation.statistics import cost_ratio
 from agents.policies.registry import ORACLE
 from shake_env.scenario.scenario import Scenario
 

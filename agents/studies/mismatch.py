@@ -115,8 +115,8 @@ def to_json(rows: Sequence[Mismatch], scenario: Scenario, earthquakes: int, seed
     }
 
 
-def markdown(result: dict[str, Any]) -> str:
-    """Return a result as a table: cost with no mismatch, then each over it, lost tests in brackets."""
+def mismatch_table(result: dict[str, Any]) -> str:
+    """Return the study of mismatches as a table: cost with none, then each over it; lost tests."""
     nominal, names = result["rows"][0]["costs"], list(result["rows"][0]["costs"])
     rows = []
     for row in result["rows"]:
@@ -155,8 +155,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.output is not None:
         write_json(given.output, result, indent=1)
     if given.page is not None:
-        put(given.page, "mismatch", markdown(result))
-    print(markdown(result))
+        put(given.page, "mismatch", mismatch_table(result))
+    print(mismatch_table(result))
     return 0
 
 

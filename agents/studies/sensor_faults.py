@@ -173,7 +173,7 @@ def broken_limits(
     return code, supervisor
 
 
-def study(
+def sensor_fault_study(
     cases: Sequence[Case],
     *,
     lanes: int = 80,
@@ -181,7 +181,7 @@ def study(
     steps: int = 400,
     on_case: Callable[[str, dict[str, Any]], None] = lambda name, row: None,
 ) -> dict[str, Any]:
-    """Return the result of every case, as it is written to a file."""
+    """Return the result of every case of sensor faults under the supervisor."""
     rows: dict[str, Any] = {}
     for case in cases:
         code, _ = broken_limits(case, lanes, seed, steps)
@@ -193,8 +193,8 @@ def study(
     return {"scenario": "laboratory", "lanes": lanes, "seed": seed, "steps": steps, "cases": rows}
 
 
-def table(result: dict[str, Any]) -> str:
-    """Return the rows of `docs/safety.md` from a result."""
+def sensor_fault_table(result: dict[str, Any]) -> str:
+    """Return the rows of `docs/safety.md` from a result of the study of sensor faults."""
     lines = []
     for required, title in ((True, "held"), (False, "outside")):
         lines += ["", f"| {title} | limits broken, of {result['lanes']} tables |", "|---|---|"]
@@ -216,13 +216,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     given = parser.parse_args(arguments)
     if given.table is not None:
-        print(table(json.loads(given.table.read_text(encoding="utf-8"))))
+        print(sensor_fault_table(json.loads(given.table.read_text(encoding="utf-8"))))
         return 0
 
     def tell(name: str, row: dict[str, Any]) -> None:
         print(f"{name}: {row['broken']} of {given.tables} {row['limits'] or ''}", flush=True)
 
-    result = study(
+    result = sensor_fault_study(
         list(CASES.values()), lanes=given.tables, seed=given.seed, steps=given.steps, on_case=tell
     )
     if given.output is not None:

@@ -27,7 +27,7 @@ from agents.learning.apg.algorithm import AnalyticPolicyGradient
 from agents.learning.distillation import Distillation, Labels
 from agents.learning.networks import DirectPolicy
 from agents.learning.paired import PairedVecEnv
-from agents.run_directory import CHECKPOINTS, described, parse_json
+from agents.run_directory import CHECKPOINTS, names_in_words, parse_json
 from agents.training.config import TrainConfig
 from agents.training.model_factory import Model, new_model
 from agents.training.plain_state import (
@@ -131,7 +131,7 @@ def load_checkpoint(run: str | PathLike[str], config: TrainConfig, env: Training
     raise RunDirectoryError(
         "run directory",
         str(run),
-        f"holds no readable checkpoint ({described(failures) or 'none at all'}): start a new run",
+        f"holds no readable checkpoint ({names_in_words(failures) or 'none at all'}): start a new run",
     )
 
 
@@ -147,9 +147,9 @@ def require_no_pickles(run: str | PathLike[str]) -> None:
         raise RunDirectoryError(
             "checkpoints",
             str(folder),
-            f"are of an earlier version ({described(sorted(earlier))}) and hold pickles, which run code "
-            "when they are read: they are not read. Train in a new directory; the best policy so far "
-            "is best.safetensors in this one, with which --config.init-policy can begin",
+            f"are of an earlier version ({names_in_words(sorted(earlier))}) and hold pickles, which "
+            "run code when they are read: they are not read. Train in a new directory; the best policy "
+            "so far is best.safetensors in this one, with which --config.init-policy can begin",
         )
 
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from agents.earlier_names import present_config, warn_of_old_names
 from agents.plain_values import differences, typed
-from agents.run_directory import CONFIG, contents, described, read_json
+from agents.run_directory import CONFIG, folder_contents, names_in_words, read_json
 from agents.scenario_options import ScenarioOptions
 from agents.seeds import MOST_RUNS
 from agents.training.algorithm_options import (
@@ -189,7 +189,7 @@ def config_of(values: object) -> TrainConfig:
     values = present_config(values)
     missing = [name for name in _ALWAYS if not isinstance(values, Mapping) or name not in values]
     if missing:
-        raise ValueError(f"{described(missing)} not given")
+        raise ValueError(f"{names_in_words(missing)} not given")
     return typed(TrainConfig, values)
 
 
@@ -213,7 +213,7 @@ def read_config(run: str | PathLike[str]) -> TrainConfig:
     try:
         return config_of(values)
     except ValueError as error:
-        beside = described([name for name in contents(run) if name != CONFIG]) or "nothing"
+        beside = names_in_words([name for name in folder_contents(run) if name != CONFIG]) or "nothing"
         reason = (
             f"describes no run of this version ({error}); beside it lies: {beside}. Move the directory "
             "away, or name another"
@@ -233,6 +233,6 @@ def require_same(given: TrainConfig, run: str | PathLike[str], remedy: str) -> T
     stored = read_config(run)
     if changed := differences(given, stored):
         pairs = [f"{path} is {there!r}, given {here!r}" for path, (here, there) in changed.items()]
-        reason = f"holds another configuration ({described(pairs)}): {remedy}"
+        reason = f"holds another configuration ({names_in_words(pairs)}): {remedy}"
         raise RunDirectoryError("run directory", str(run), reason)
     return stored

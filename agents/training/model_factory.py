@@ -82,15 +82,6 @@ class CriticWarmupPPO(PPO):
 
 
 Model = PPO | SAC | TD3 | TQC | RecurrentPPO | AnalyticPolicyGradient | Distillation
-ALGORITHMS: dict[str, type[Model]] = {
-    "ppo": CriticWarmupPPO,
-    "sac": WarmSAC,
-    "td3": WarmTD3,
-    "tqc": WarmTQC,
-    "recurrent-ppo": RecurrentPPO,
-    "apg": AnalyticPolicyGradient,
-    "dagger": Distillation,
-}
 
 
 class LinearDecay:

@@ -25,7 +25,7 @@ _WORDS = 624  # of the state of a Mersenne twister
 
 
 def split(value: Any, name: str = "state") -> tuple[Any, Arrays]:
-    """Return a nest of mappings and sequences as JSON values, and its arrays and tensors by name.
+    """Return a training state's nest as JSON values, and its arrays and tensors by name.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def whole_number(value: Any, name: str, most: int) -> int:
 
 
 def generator_state(generator: np.random.Generator | None) -> dict[str, Any] | None:
-    """Return where a generator stands, with the seed that its children are spawned from."""
+    """Return where a random generator stands, with the seed that its children are spawned from."""
     if generator is None:
         return None
     bits = generator.bit_generator
@@ -110,7 +110,7 @@ def generator_state(generator: np.random.Generator | None) -> dict[str, Any] | N
 
 
 def generator(state: Mapping[str, Any] | None) -> np.random.Generator | None:
-    """Return the generator that :func:`generator_state` describes."""
+    """Return the random generator that :func:`generator_state` describes."""
     if state is None:
         return None
     seed = np.random.SeedSequence(

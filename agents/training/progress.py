@@ -119,7 +119,7 @@ def sparkline(values: Sequence[float]) -> str:
 
 
 def meaning(progress: Progress) -> str:
-    """Return in words what the evaluations say."""
+    """Return in words what a training run's evaluations say."""
     if not progress.evaluations:
         return "the untrained policy, about to be evaluated for the first time"
     last, best = progress.evaluations[-1], min(progress.evaluations)

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 import shake_env
 from agents.plain_values import typed
-from agents.policies.policy_file import digest, load_policy
+from agents.policies.policy_file import file_digest, load_policy
 from agents.progress import Progress
 from agents.provenance import code_version
 from agents.run_directory import (
@@ -25,11 +25,11 @@ from agents.run_directory import (
     FIRST,
     POLICY,
     RESULT,
-    contents,
-    create,
-    described,
+    create_run_directory,
+    folder_contents,
     forget_attempt,
-    locked,
+    locked_folder,
+    names_in_words,
     read_json,
 )
 from agents.seeds import RUN_SEEDS
@@ -65,7 +65,7 @@ def train(
     report: Callable[[Progress], None] = lambda progress: None,
     command: str | None = None,
 ) -> TrainResult:
-    """Train from scratch, or from `config.init_policy`, into a new run directory.
+    """Train a policy from scratch, or from `config.init_policy`, into a new run directory.
 
     Parameters
     ----------
@@ -88,8 +88,8 @@ def train(
     run = Path(run)
     require_beginnable(config, run)
     model, env, first = _new(config, first_file(config))
-    create(run, lambda folder: _describe(folder, config, first))
-    with locked(run), file_errors(run):
+    create_run_directory(run, lambda folder: _describe(folder, config, first))
+    with locked_folder(run), file_errors(run):
         require_beginnable(config, run)  # nor has another process begun it since
         forget_attempt(run)
         return _run(model, config, env, run, report, command)
@@ -110,7 +110,7 @@ def resume(
     """
     run = Path(run)
     config = read_config(run)
-    with locked(run), file_errors(run):
+    with locked_folder(run), file_errors(run):
         return _train_on(config, run, report, command)
 
 
@@ -136,7 +136,7 @@ def train_or_resume(
         train(config, run, report=report, command=command)
         return
     require_same(config, run, "move it away, or name another")
-    with locked(run, wait), file_errors(run):
+    with locked_folder(run, wait), file_errors(run):
         if not finished(run):
             _train_on(config, run, report, command)
 
@@ -148,18 +148,19 @@ def require_beginnable(config: TrainConfig, run: str | PathLike[str]) -> None:
     before its first checkpoint.
     """
     run = Path(run)
-    present = contents(run)
+    present = folder_contents(run)
     if run.exists() and not run.is_dir():
         raise RunDirectoryError("run directory", str(run), "is a file: name another")
     if not present:
         return
     if CONFIG not in present:
-        remedy = (
-            f"exists already and holds no run, but {described(present)}: move it away, or name another"
-        )
+        held = names_in_words(present)
+        remedy = f"exists already and holds no run, but {held}: move it away, or name another"
         raise RunDirectoryError("run directory", str(run), remedy)
     if POLICY in present or checkpoints(run):
-        remedy = f"exists already and holds {described(present)}: name another, or go on with --resume"
+        remedy = (
+            f"exists already and holds {names_in_words(present)}: name another, or go on with --resume"
+        )
         raise RunDirectoryError("run directory", str(run), remedy)
     require_no_pickles(run)
     require_same(config, run, "name another, or move it away")
@@ -273,7 +274,7 @@ def _run(
     }
     if (run / FIRST).exists():
         made = load_policy(run / FIRST).card
-        card["first"] = {"sha256": digest(run / FIRST), "command": made.get("command")}
+        card["first"] = {"sha256": file_digest(run / FIRST), "command": made.get("command")}
     replace(load_policy(run / BEST), card=card).save(run / POLICY)
     write_json(run / RESULT, asdict(result))
     return result

@@ -14,7 +14,7 @@ from stable_baselines3.common.logger import Figure
 
 from agents.policies.symmetry import mirror_averaged
 from agents.progress import Progress
-from agents.run_directory import BEST, EVALUATIONS, append_row, evaluations
+from agents.run_directory import BEST, EVALUATIONS, append_row, evaluations_of_run
 from agents.seeds import EVALUATION_SEED
 from agents.training.artificial_motions import artificial_motions
 from agents.training.checkpoint import save_checkpoint
@@ -56,10 +56,10 @@ class TrainingWatch(BaseCallback):
         self.reference = "LQR" if lqr_suits(self.scenario) else "oracle"
         self.earthquakes, self.reference_cost = _reference(self.scenario, self.earthquakes)
         self.started = time.monotonic()
-        self.saved = self.told = -np.inf
+        self.saved = self.reported = -np.inf
         self.passed = -1  # number of the last evaluation that was due
         self.cost_ratio: float | None = None
-        self.evaluations = [ratio for _, ratio in evaluations(run)]
+        self.evaluations = [ratio for _, ratio in evaluations_of_run(run)]
         self.card = {
             "table": scenario.table,
             "control_rate": scenario.control_rate,
@@ -71,7 +71,9 @@ class TrainingWatch(BaseCallback):
         return steps * self.config.evaluations // self.config.steps
 
     def _on_training_start(self) -> None:
-        behind = [steps for steps, _ in evaluations(self.run) if steps <= self.model.num_timesteps]
+        behind = [
+            steps for steps, _ in evaluations_of_run(self.run) if steps <= self.model.num_timesteps
+        ]
         self.passed = max(map(self._due, behind), default=-1)
 
     def _on_rollout_start(self) -> None:
@@ -82,9 +84,9 @@ class TrainingWatch(BaseCallback):
         if now - self.saved >= self.config.checkpoint_interval:
             save_checkpoint(self.run, self.model, self.tables)  # type: ignore[arg-type]  # one of `Model`
             self.saved = now
-        if now - self.told >= 0.5:
+        if now - self.reported >= 0.5:
             self.tell()
-            self.told = now
+            self.reported = now
 
     def _on_step(self) -> bool:
         return True
@@ -130,12 +132,12 @@ class TrainingWatch(BaseCallback):
             "base_shear_rms_error": shear,
         }
         append_row(self.run / EVALUATIONS, row)
-        if self.cost_ratio <= min(ratio for _, ratio in evaluations(self.run)):
+        if self.cost_ratio <= min(ratio for _, ratio in evaluations_of_run(self.run)):
             policy.save(self.run / BEST)
 
 
 def lqr_suits(scenario: Scenario) -> bool:
-    """Return whether costs are relative to LQR's, and not to the oracle's (see `_reference`)."""
+    """Return whether a run's costs are relative to LQR's, and not to the oracle's (see `_reference`)."""
     suits = scenario.sensing.full_state and not scenario.delay and not scenario.uncertainty.active
     return suits and scenario.limits.table_displacement is None
 
@@ -157,7 +159,7 @@ def _reference(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[l
 
 
 def learning_curve(run: str | PathLike[str]) -> list[list[float]]:
-    """Return the learning curve so far: steps and cost ratio of each evaluation."""
+    """Return a run's learning curve so far: steps and cost ratio of each evaluation."""
     # A run that was interrupted evaluates again what its last checkpoint had not seen yet.
-    curve = dict(evaluations(Path(run)))
+    curve = dict(evaluations_of_run(Path(run)))
     return [[steps, curve[steps]] for steps in sorted(curve)]

@@ -81,7 +81,7 @@ def gramian_factor(A: FloatArray, B: FloatArray) -> FloatArray:
     return result
 
 
-def balancing(system: StateSpace) -> Balancing:
+def balancing_transformation(system: StateSpace) -> Balancing:
     """Return the balancing transformation of a stable model.
 
     Notes
@@ -109,11 +109,11 @@ def balancing(system: StateSpace) -> Balancing:
 
 def hankel_singular_values(system: StateSpace) -> FloatArray:
     """Return the Hankel singular values of a stable model, (n,) falling, in output over input."""
-    return balancing(system).hankel_singular_values
+    return balancing_transformation(system).hankel_singular_values
 
 
 def order_within(values: FloatArray, bound: float) -> int:
-    """Return the smallest order whose a-priori bound ``2 * sum(values[order:])`` is at most `bound`."""
+    """Return the least reduced order whose bound ``2 * sum(values[order:])`` is at most `bound`."""
     tails = 2.0 * np.append(np.cumsum(values[::-1])[::-1], 0.0)
     return max(1, int(np.argmax(tails <= bound)))
 
@@ -142,7 +142,7 @@ def balanced_truncation(system: StateSpace, order: int, match: Match = "high") -
     n = system.order
     if not 1 <= order <= n:
         raise ParameterError("order", order, f"must lie in 1 to {n}")
-    balanced = balancing(system)
+    balanced = balancing_transformation(system)
     sigma = balanced.hankel_singular_values
     if sigma[order - 1] <= np.finfo(float).tiny:
         raise NumericalError("Hankel singular value", float(sigma[order - 1]), "leaves no such order")

@@ -26,7 +26,7 @@ def forced_response(
     initial: FloatArray | None = None,
     block: int | None = None,
 ) -> FloatArray:
-    """Return the outputs (samples, outputs, N) of N runs.
+    """Return the outputs (samples, outputs, N) of N forced runs of linear models, side by side.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ class TrackingNorms:
 
 
 def h2_lyapunov(plant: CoupledPlant, gain: FloatArray) -> TrackingNorms:
-    """Return the norms from the controllability Gramian.
+    """Return the closed loop's H2 norms from the controllability Gramian.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def h2_lyapunov(plant: CoupledPlant, gain: FloatArray) -> TrackingNorms:
 
 
 def h2_frequency(plant: CoupledPlant, gain: FloatArray) -> TrackingNorms:
-    """Return the norms as ``1/pi`` times the integral of ``|G(j omega)|^2`` from 0 to infinity.
+    """Return the closed loop's H2 norms as ``1/pi`` times the integral of ``|G(j omega)|^2``.
 
     Composite Gauss quadrature in log omega, with panels that end at every pole's frequency and at one,
     three and ten of its half-widths beside it, so that no resonance is stepped over. Below the lowest

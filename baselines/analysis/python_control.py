@@ -73,7 +73,7 @@ def _in_units(
 
 
 def state_names(plant: CoupledPlant) -> list[str]:
-    """Return the state names in a form that python-control takes: without units, blanks and primes."""
+    """Return state names in a form that python-control takes: without units, blanks and primes."""
     bare = (name.split(" [")[0] for name in plant.layout.names)
     return [name.replace("'", "_dot").replace(" ", "_") for name in bare]
 
@@ -141,7 +141,7 @@ class ControlLaw:
 
 
 def signal_rows(scenario: Scenario, names: Sequence[str]) -> FloatArray:
-    """Return rows (signals, n) that take signals in SI from an observation (n,).
+    """Return rows (signals, n) that take signals in SI from an observation (n,), for python-control.
 
     Raises
     ------

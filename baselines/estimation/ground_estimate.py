@@ -65,7 +65,7 @@ class ReferenceRecursion:
 
 
 def foresight(scenario: Scenario, shown: Scenario) -> tuple[FloatArray, FloatArray]:
-    """Return the conditional mean of the ground when a command acts, and its covariance.
+    """Return the ground's conditional mean when a command acts, and its covariance.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ class KalmanFilter:
         NumericalError
             If the Riccati equation has no stabilising solution.
         """
-        gain, before = stationary(model)
+        gain, before = stationary_filter(model)
         gains = np.concatenate([_from_rest(model, warm_up)[0], gain[None]])
         S = model.C @ before @ model.C.T + np.diag(model.R)
         return cls(model, gains, before - gain @ S @ gain.T, S)
@@ -74,8 +74,8 @@ class KalmanFilter:
         return predicted + (self.gains[index] @ innovation[..., None])[..., 0]
 
 
-def stationary(model: EstimatorModel) -> tuple[FloatArray, FloatArray]:
-    """Return L (n, s) and the covariance before correction (n, n) of the stationary filter.
+def stationary_filter(model: EstimatorModel) -> tuple[FloatArray, FloatArray]:
+    """Return L (n, s) and the covariance before correction (n, n) of the stationary Kalman filter.
 
     Raises
     ------

@@ -141,11 +141,11 @@ def norm_optimal_learning(
     model = PeriodModel.of(scenario, hold.gain)
     law = LearningLaw.of(model, scenario.stage_cost, step_weight, still.target.shape[1])
     return repeat_tests(
-        scenario, earthquakes, still, lambda test: law.correction(missed(test)), repeats, hold
+        scenario, earthquakes, still, lambda test: law.correction(tracking_error(test)), repeats, hold
     )
 
 
-def missed(test: Repeat) -> FloatArray:
-    """Return what a test missed of ``[y~, f~_s]``, (N, steps, 2, k)."""
+def tracking_error(test: Repeat) -> FloatArray:
+    """Return a test's error of ``[y~, f~_s]``, from which ILC learns, (N, steps, 2, k)."""
     acceleration = test.target - test.acceleration
     return np.stack([acceleration, test.reference_shear - test.base_shear], axis=2)

@@ -151,12 +151,6 @@ def printed_added_weight(plant: CoupledPlant, *, q_1: float, q_2: float) -> floa
     return 5.0 * abs(float(np.linalg.eigvalsh(E_1.T @ E_1)[0]))
 
 
-def printed_lqr(plant: CoupledPlant, *, q_1: float, q_2: float, r: float = 1.0) -> ContinuousLQRDesign:
-    """Design with the paper's own regularisation; the result depends on this machine's rounding."""
-    weight = printed_added_weight(plant, q_1=q_1, q_2=q_2)
-    return continuous_lqr(plant, q_1=q_1, q_2=q_2, r=r, added_weight=weight)
-
-
 def continuous_lqr(
     plant: CoupledPlant, *, q_1: float, q_2: float, r: float = 1.0, added_weight: float = 0.0
 ) -> ContinuousLQRDesign:

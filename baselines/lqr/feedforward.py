@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from baselines.lqr.design_states import observable_states
 from baselines.lqr.preview import PreviewFeedback
-from baselines.lqr.tracking_problem import TrackingProblem, weighed
+from baselines.lqr.tracking_problem import TrackingProblem, weighted_outputs
 from shake_env.dynamics.nonlinear import FLOW, FORCE, controlled_plant
 from shake_env.errors import ParameterError
 from shake_env.model.discretization import first_order_hold
@@ -152,7 +152,7 @@ def _reply(scenario: Scenario, q: TrackingProblem, periods: int, column: int) ->
     moved[layout.controlled] = state
     inside = np.isin(q.states.kept, q.kept)
     B = q.states.rows(moved)[inside] / plant.state_scale[q.kept][:, None]
-    z_x, z_u, z_f = (weighed(cost, part) for part in (q.Z_x, q.Z_u, outputs))
+    z_x, z_u, z_f = (weighted_outputs(cost, part) for part in (q.Z_x, q.Z_u, outputs))
     row = np.zeros(periods * k + 1)
     now = q.G.T @ q.P @ B + z_u.T @ z_f
     later = q.closed.T @ q.P @ B + (z_x - z_u @ q.K).T @ z_f

@@ -111,7 +111,7 @@ class Prediction:
 
 
 def feed_forward(scenario: Scenario, problem: TrackingProblem, periods: int) -> FloatArray:
-    """Return what an observation says of v now and in the coming periods, (periods, size)."""
+    """Return what an observation says to MPC of v now and in the coming periods, (periods, size)."""
     shown = scenario.observation
     forecast = Forecast.of(problem, shown.preview_samples, shown.preview_spacing)
     reach, draws = forecast.periods, problem.N.shape[1]

@@ -19,9 +19,9 @@ import numpy as np
 from scipy.optimize import minimize
 
 from baselines.lqr.design_states import DesignStates
+from baselines.lqr.discrete_lyapunov import discrete_lyapunov
 from baselines.lqr.preview import preview_lqr
 from baselines.lqr.sampled import ScaledProblem
-from baselines.lqr.tracking_problem import dlyap
 from shake_env.errors import NumericalError, ParameterError
 from shake_env.model.parameters import FloatArray
 from shake_env.model.plant import REFERENCE_CURRENT
@@ -127,9 +127,9 @@ class ModelSet:
         """
         F, G = discount * self.F, discount * self.G
         closed, turned = F - G @ K, (F - G @ K).swapaxes(-1, -2)
-        Sigma = dlyap(closed, self.W, turned)
+        Sigma = discrete_lyapunov(closed, self.W, turned)
         cross = self.S @ K
-        P = dlyap(turned, self.Q - cross - cross.swapaxes(-1, -2) + K.T @ self.R @ K, closed)
+        P = discrete_lyapunov(turned, self.Q - cross - cross.swapaxes(-1, -2) + K.T @ self.R @ K, closed)
         slope = (self.R + G.swapaxes(-1, -2) @ P @ G) @ K
         slope = slope - G.swapaxes(-1, -2) @ P @ F - self.S.swapaxes(-1, -2)
         costs = np.einsum("kij,kji->k", P, self.W) + self.constant
@@ -239,7 +239,7 @@ def _round(problem: ModelSet, K: FloatArray, discount: float) -> FloatArray:
     In them the cost is nearly round. It stops being so on the way, hence the restarts.
     """
     closed = discount * (problem.F - problem.G @ K)
-    spread = np.mean(dlyap(closed, problem.W, closed.swapaxes(-1, -2)), axis=0)
+    spread = np.mean(discrete_lyapunov(closed, problem.W, closed.swapaxes(-1, -2)), axis=0)
     values, vectors = np.linalg.eigh(spread)
     directions: FloatArray = vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
     return directions

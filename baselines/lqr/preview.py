@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lstsq
 
+from baselines.lqr.discrete_lyapunov import discrete_lyapunov
 from baselines.lqr.sampled import StationaryPerformance, action_row
-from baselines.lqr.tracking_problem import TrackingProblem, dlyap
+from baselines.lqr.tracking_problem import TrackingProblem
 from shake_env.errors import NumericalError, ScenarioError
 from shake_env.model.discretization import DiscretePlant
 from shake_env.model.parameters import FloatArray
@@ -124,11 +125,11 @@ def preview_lqr(
     rows = problem.future_rows(forecast.periods)
     b = forecast.expectation(rows.reshape(1, -1))
     # Row j: what the law of j periods earlier knows of v through a period's draws.
-    seen = (b @ forecast.N_y).reshape(rows.shape)
-    performance = _performance(problem, problem.L, seen)
+    known_rows = (b @ forecast.N_y).reshape(rows.shape)
+    performance = _performance(problem, problem.L, known_rows)
     analytic = performance.cost
     if position is None:  # what completing the square says contains the position's term, too
-        analytic = _floor(problem) + problem.R_u * (problem.unseen - float(np.sum(seen**2)))
+        analytic = _floor(problem) + problem.R_u * (problem.unseen - float(np.sum(known_rows**2)))
         _agree(problem, performance.cost, analytic)
     row = problem.row(problem.L - b @ forecast.C_y)
     gain = -row * REFERENCE_CURRENT / discrete.plant.state_scale
@@ -173,7 +174,7 @@ def _floor(problem: TrackingProblem) -> float:
     """Return the cost that no current changes: ``E[r'r] - R_u E[v^2]``, r weighed."""
     cost, k = problem.cost, problem.discrete.substeps
     weights = np.array([cost.acceleration, cost.force]) / k
-    stationary = dlyap(problem.A, problem.N @ problem.N.T, problem.A.T)
+    stationary = discrete_lyapunov(problem.A, problem.N @ problem.N.T, problem.A.T)
     reference = np.einsum("o,koi,ij,koj->", weights, problem.C, stationary, problem.C)
     reference += np.einsum("o,kod->", weights, problem.D**2)
     known = float(problem.L[0] @ stationary @ problem.L[0])
@@ -194,10 +195,10 @@ def _performance(
     energy = np.zeros(3)  # acceleration, force, current; each summed over physics steps
     if seen is None:
         # With the whole future x_c at j periods before the draw is Y closed'^j Gamma.
-        Y = dlyap(q.closed, q.G @ q.G.T, q.closed.T) / q.R_u
+        Y = discrete_lyapunov(q.closed, q.G @ q.G.T, q.closed.T) / q.R_u
         current = q.G.T / q.R_u - q.K @ Y @ q.closed.T
         before = q.Z_x @ (Y @ q.closed.T) + q.Z_u @ current
-        spread = dlyap(q.closed.T, q.Gamma @ q.Gamma.T, q.closed)
+        spread = discrete_lyapunov(q.closed.T, q.Gamma @ q.Gamma.T, q.closed)
         energy += _energies(before, current, spread)
         x_c, now = Y @ q.Gamma, q.M_0
     else:
@@ -216,7 +217,7 @@ def _performance(
     start = np.vstack([q.F @ x_c + q.G @ u, q.N])
     loop = np.block([[q.closed, q.G @ on_state], [np.zeros((len(q.A), m)), q.A]])
     row = np.hstack([-q.K, on_state])
-    spread = dlyap(loop, start @ start.T, loop.T)
+    spread = discrete_lyapunov(loop, start @ start.T, loop.T)
     energy += _energies(errors + q.Z_u @ row, row, spread)
     acceleration, shear = energy[:2] / q.discrete.substeps
     current_square = float(energy[2]) * REFERENCE_CURRENT**2

@@ -19,14 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.lqr.design_states import DesignStates, IntArray
+from baselines.lqr.discrete_lyapunov import discrete_lyapunov
 from baselines.lqr.sampled import ScaledProblem, riccati
 from shake_env.errors import NumericalError, ScenarioError
 from shake_env.model.discretization import DiscretePlant
 from shake_env.model.parameters import FloatArray
 from shake_env.model.plant import REFERENCE_CURRENT
 from shake_env.scenario.objective import StageCost
-
-DOUBLINGS = 64  # of a Stein sum: more than any stable pole of float64 needs
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ class TrackingProblem:
             raise NumericalError("spectral radius", radius, "target and reference must be stationary")
         # The errors are Z - r: what the lifted errors make of exogenous states and draws is -r.
         Z_x, Z_u, C, D = p.Z_x[:, :, c], p.Z_u, -p.Z_x[:, :, e], -p.Z_d
-        z_x, z_u, r_e, r_d = (weighed(cost, part) for part in (Z_x, Z_u, C, D))
+        z_x, z_u, r_e, r_d = (weighted_outputs(cost, part) for part in (Z_x, Z_u, C, D))
         if position is not None:
             place = p.place(plant, position)
             on_table, on_ground = place[c], -place[e]
@@ -103,7 +102,7 @@ class TrackingProblem:
         R_u = float((stage + G.T @ P @ G)[0, 0])
         closed = F - G @ K
         Psi = (z_x - z_u @ K).T
-        H = dlyap(closed.T, Psi @ r_e, A)  # E[h_i | x_e,i] = H x_e,i
+        H = discrete_lyapunov(closed.T, Psi @ r_e, A)  # E[h_i | x_e,i] = H x_e,i
         return cls(
             discrete, cost, p.states, p.kept[c], p.kept[e],
             F, G, Z_x, Z_u, A, N, C, D, P, K, R_u, closed,
@@ -137,38 +136,13 @@ class TrackingProblem:
     @property
     def unseen(self) -> float:
         """Conditional variance of v_i given the present state alone."""
-        reach = dlyap(self.closed, self.G @ self.G.T, self.closed.T) / self.R_u**2
+        reach = discrete_lyapunov(self.closed, self.G @ self.G.T, self.closed.T) / self.R_u**2
         return float(np.sum(self.M_0**2) + np.einsum("id,ij,jd->", self.Gamma, reach, self.Gamma))
 
 
-def weighed(cost: StageCost, outputs: FloatArray) -> FloatArray:
+def weighted_outputs(cost: StageCost, outputs: FloatArray) -> FloatArray:
     """Return outputs (k, 2, columns) as rows (2 k, columns) whose squares sum to the stage cost."""
     k = len(outputs)
     weights = np.sqrt(np.array([cost.acceleration, cost.force]) / k)
     rows: FloatArray = (outputs * weights[None, :, None]).reshape(2 * k, -1)
     return rows
-
-
-def dlyap(left: FloatArray, middle: FloatArray, right: FloatArray) -> FloatArray:
-    """Return ``sum_j left^j middle right^j``, which solves ``X = left X right + middle``.
-
-    By doubling (Smith, SIAM J. Appl. Math. 16, 1968): no matrix is inverted, and terms are only added.
-
-    Raises
-    ------
-    NumericalError
-        If the sum does not settle.
-    """
-    total = middle
-    for _ in range(DOUBLINGS):
-        added = left @ total @ right
-        total = total + added
-        size = np.max(np.abs(total), initial=0.0)
-        if np.max(np.abs(added), initial=0.0) <= 1e-17 * size:
-            return total
-        if not np.isfinite(size):
-            break
-        left, right = left @ left, right @ right
-    raise NumericalError(
-        "Stein sum", float(np.max(np.abs(total))), "does not settle: a factor is unstable"
-    )

@@ -27,7 +27,7 @@ FRICTION_SHARE = 0.05  # [-] of the friction that a filter with friction in its 
 
 
 def model_error(scenario: Scenario, model_error_scale: float = 1.0) -> ModelError:
-    """Return what the nonlinear model leaves out: `ModelError` without what is in the model.
+    """Return what the filter's nonlinear model leaves out: `ModelError` without what is in the model.
 
     `model_error_scale` multiplies both disturbances. Of the friction, `FRICTION_SHARE` stays unknown.
     """

@@ -46,7 +46,7 @@ def episodes(
     k = scenario.substeps
     recorded = rollout(NoControl(), scenario, earthquakes, record=range(len(earthquakes)))[1]
     models: dict[int, PlanningModel] = {}
-    found = []
+    made = []
     plants = sampled_plants(scenario, earthquakes) if plant is None else [plant] * len(earthquakes)
     for i, (quake, own) in enumerate(zip(earthquakes, plants, strict=True)):
         # Without uncertainty every earthquake has the scenario itself for its plant.
@@ -58,8 +58,8 @@ def episodes(
         shear = signals.reference_base_shear.reshape(-1, k)
         if reference is not None:
             shear = reference(own, target)
-        found.append(Episode(quake, model, target, shear))
-    return found
+        made.append(Episode(quake, model, target, shear))
+    return made
 
 
 def driven(

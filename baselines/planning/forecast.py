@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from baselines.lqr.design_states import observable_states
+from baselines.lqr.discrete_lyapunov import discrete_lyapunov
 from baselines.lqr.preview import Forecast
 from baselines.lqr.sampled import GROUND_DISPLACEMENT, riccati
-from baselines.lqr.tracking_problem import TrackingProblem, dlyap, weighed
+from baselines.lqr.tracking_problem import TrackingProblem, weighted_outputs
 from baselines.planning.ekf import model_error
 from baselines.planning.model import PlanningModel, compiled
 from shake_env.model.nonlinearity import Nonlinearity, ServoValve
@@ -104,10 +105,10 @@ def _tail(
     n = table.states
     _, _, F, G, C, D = jacobian(np.zeros(n), 0.0, table.arrays, table.scale)
     G, D, k = G[:, None] * REFERENCE_CURRENT, D[:, None] * REFERENCE_CURRENT, scenario.substeps
-    # Outputs (k, 2, .) as `weighed` takes them.
-    z_x = weighed(cost, C.reshape(2, k, n).swapaxes(0, 1))
-    z_u = weighed(cost, D.reshape(2, k, 1).swapaxes(0, 1))
-    r_e, r_d = weighed(cost, problem.C), weighed(cost, problem.D)
+    # Outputs (k, 2, .) as `weighted_outputs` takes them.
+    z_x = weighted_outputs(cost, C.reshape(2, k, n).swapaxes(0, 1))
+    z_u = weighted_outputs(cost, D.reshape(2, k, 1).swapaxes(0, 1))
+    r_e, r_d = weighted_outputs(cost, problem.C), weighted_outputs(cost, problem.D)
     retained = np.arange(n)
     if position is not None:
         row = np.zeros((1, n))
@@ -124,7 +125,7 @@ def _tail(
     P, K = riccati(F, G, z_x.T @ z_x, stage, z_x.T @ z_u)
     closed = F - G @ K
     Psi = (z_x - z_u @ K).T
-    H = dlyap(closed.T, Psi @ r_e, problem.A)
+    H = discrete_lyapunov(closed.T, Psi @ r_e, problem.A)
     Gamma = Psi @ r_d + closed.T @ H @ problem.N
     # The linear state from the nonlinear one: a slip shifts what a storey's spring feels.
     M = _linear_state(scenario, model, table)[retained]

@@ -82,7 +82,7 @@ class RecordPlan:
             raise FileError("plan", str(file), f"is no file of shake plan: {error}") from error
 
 
-def nominal(scenario: Scenario) -> Scenario:
+def nominal_scenario(scenario: Scenario) -> Scenario:
     """Return the scenario with its own values for the plant, nothing drawn."""
     return replace(scenario, uncertainty=Uncertainty())
 
@@ -102,7 +102,7 @@ def plan_records(
     feedback therefore weighs a deviation of `displacement_tolerance` [m] as an uncontrolled table; None:
     not at all. The plan itself does not depend on it.
     """
-    own = nominal(scenario)
+    own = nominal_scenario(scenario)
     plans = []
     optima: list[OptimalEpisode] = optimal_episodes(
         scenario, earthquakes, plant=own, signals=nominal_reference, threads=THREADS, on_step=on_step
@@ -181,13 +181,13 @@ class PlannedControl:
     def __init__(
         self, scenario: Scenario, plans: Sequence[RecordPlan], model_error_scale: float = 0.1
     ) -> None:
-        digest = scenario_digest(nominal(scenario))
+        digest = scenario_digest(nominal_scenario(scenario))
         for plan in plans:
             if plan.digest != digest:
                 raise ParameterError("plan", plan.name, "was made for another table: plan it anew")
         self._scenario, self._shown = scenario, scenario.observation
         self.filter = ExtendedKalmanFilter.of(
-            nominal(scenario), model_error(scenario, model_error_scale)
+            nominal_scenario(scenario), model_error(scenario, model_error_scale)
         )
         model = self.filter.model
         # Where a plan's states, which hold no disturbances and low-passes, lie in the filter's.

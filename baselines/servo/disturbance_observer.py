@@ -53,8 +53,8 @@ def dead_periods(scenario: Scenario) -> float:
     return scenario.delay / scenario.substeps + 0.5
 
 
-def mismatch(scenario: Scenario, frequency: FloatArray) -> FloatArray:
-    """Return ``|1 - G / G_n|`` of the nominal table at `frequency` (f,) [Hz]."""
+def model_mismatch(scenario: Scenario, frequency: FloatArray) -> FloatArray:
+    """Return ``|1 - G / G_n|`` of the disturbance observer's model at `frequency` (f,) [Hz]."""
     table, s = NominalTable.of(scenario), 2j * math.pi * frequency
     lag = scenario.actuator.valve_time_constant
     # The samples of the response are those at the period's ends; the command's are at their starts.
@@ -69,7 +69,7 @@ def observer_corner(scenario: Scenario, design: ObserverDesign) -> float:
     if design.corner is not None:
         return design.corner
     frequency = np.geomspace(0.05, 0.5 * scenario.control_rate, 4000)
-    missed = mismatch(scenario, frequency)
+    missed = model_mismatch(scenario, frequency)
     worst = np.array([np.max(missed / (1.0 + (frequency / c) ** 2)) for c in CORNERS])
     allowed = CORNERS[worst <= design.margin]
     return float(allowed[-1]) if len(allowed) else float(CORNERS[0])

@@ -122,7 +122,7 @@ def folded_frequencies(rate: float) -> tuple[FloatArray, FloatArray]:
 
 
 def inverse_law(scenario: Scenario, design: InverseDesign) -> InverseLaw:
-    """Return the least-squares inverse of a scenario's nominal table.
+    """Return the least-squares inverse of a scenario's nominal table, as a feed-forward.
 
     Raises
     ------

@@ -23,7 +23,7 @@ from baselines.servo.signals import (
     VELOCITY,
 )
 from shake_env.errors import NumericalError, ParameterError
-from shake_env.model.parameters import FloatArray, require_positive
+from shake_env.model.parameters import require_positive
 from shake_env.scenario.scenario import Scenario
 
 HIGHEST_GAIN = 1e4  # [1/s] of the velocity that an error commands; no sampled table bears as much
@@ -86,7 +86,7 @@ class UltimatePoint:
 
 
 def ultimate_point(scenario: Scenario, pressure: float = 0.0) -> UltimatePoint:
-    """Return the ultimate gain of the nominal displacement loop, sampled and delayed as it is.
+    """Return the ultimate gain of the nominal PID displacement loop, sampled and delayed as it is.
 
     Raises
     ------
@@ -179,9 +179,3 @@ def pid(scenario: Scenario, gains: PIDGains | None = None) -> OutputFeedback:
     if values.pressure:
         needs += ("load_pressure",)
     return OutputFeedback(scenario, pid_law(values, scenario.control_period), needs)
-
-
-def acceleration_response(scenario: Scenario, gains: PIDGains, frequency: FloatArray) -> FloatArray:
-    """Return the amplitude of y_A over y~ of the nominal loop at `frequency` (f,) [Hz]."""
-    loop = SampledClosedLoop(NominalTable.of(scenario), pid_law(gains, scenario.control_period))
-    return np.abs(loop.response(frequency))

@@ -67,7 +67,7 @@ class TVCDesign:
 
 
 def feedback_gains(table: NominalTable, poles: FloatArray) -> FloatArray:
-    """Return k (3,) of displacement, velocity and acceleration that give the loop three given poles.
+    """Return TVC's k (3,) of displacement, velocity and acceleration that give three poles.
 
     A pole p of the loop has ``1 + k' g(p) = 0`` with g the table's response to the current: linear in k.
     The other poles go where they go.
@@ -98,7 +98,7 @@ def feedback_gains(table: NominalTable, poles: FloatArray) -> FloatArray:
 
 
 def feed_forward_gains(table: NominalTable, feedback: FloatArray, band: FloatArray) -> FloatArray:
-    """Return the weights (3,) of the target's x~, v~, y~ that make the loop's response flattest.
+    """Return TVC's weights (3,) of the target's x~, v~, y~ that make the loop's response flattest.
 
     Least squares of ``|y_A / y~ - 1|`` over the band: the response is linear in the weights.
     """
@@ -118,7 +118,7 @@ def feed_forward_gains(table: NominalTable, feedback: FloatArray, band: FloatArr
 
 
 def placed_feedback(table: NominalTable, scenario: Scenario, design: TVCDesign) -> FloatArray:
-    """Return the feedback gains (3,) of a design on a scenario's nominal table.
+    """Return TVC's feedback gains (3,) of a design on a scenario's nominal table.
 
     Raises
     ------

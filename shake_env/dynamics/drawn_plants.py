@@ -327,7 +327,7 @@ def _zeros(rows: int, columns: int) -> Rows:
 
 
 def rows_of(index: IntArray) -> Any:
-    """Return an index of rows of a stack; of one row a slice, which takes a fifth of the time."""
+    """Return an index of plants' rows in a stack; of one row a slice, which is five times as fast."""
     return slice(int(index[0]), int(index[0]) + 1) if len(index) == 1 else index
 
 

@@ -112,7 +112,7 @@ def _noise_map(discrete: DiscretePlant) -> FloatArray:
 
 
 def filter_state(ground: GroundFilter, history: TargetHistory, dt: float) -> FloatArray:
-    """Return the filter state (samples, 2 or 4) that a recorded target would have come from.
+    """Return the ground filter's state (samples, 2 or 4) that a recorded target would have come from.
 
     ``x_w' = y~ / (2 zeta_g omega_g)`` and x_w its integral; with the high-pass, y~ first becomes the
     high-pass's input, whose states are the ground's displacement and velocity.

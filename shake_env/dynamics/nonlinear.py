@@ -48,7 +48,7 @@ ARRAYS = ("advance", "slope", "C", "D", "valve", "coulomb", "arrival")
 FLOW, FORCE, SPOOL_RATE = range(3)  # columns of N: [m] spool, [N] on the table, [m/s] spool; then slips
 
 
-def incidence(stories: int) -> FloatArray:
+def drift_matrix(stories: int) -> FloatArray:
     """Return E, (stories, stories): drift of each storey from floor displacements."""
     return np.eye(stories) - np.eye(stories, k=-1)
 
@@ -66,7 +66,7 @@ def specimen_with_slip(plant: CoupledPlant, yielding: Yielding) -> StateSpace:
     A, B = np.zeros((*batch, 3 * n, 3 * n)), np.zeros((*batch, 3 * n, 1 + n))
     C = np.zeros((*batch, 1, 3 * n))
     A[..., : 2 * n, : 2 * n], B[..., : 2 * n, :1], C[..., : 2 * n] = rigid.A, rigid.B, rigid.C
-    A[..., upper, 2 * n :] = inverse_mass @ incidence(n).T @ diagonal(relaxed)
+    A[..., upper, 2 * n :] = inverse_mass @ drift_matrix(n).T @ diagonal(relaxed)
     B[..., 2 * n :, 1:] = np.eye(n)
     C[..., 0, 2 * n] = -relaxed[..., 0]
     return StateSpace(A, B, C, np.zeros((*batch, 1, 1 + n)))
@@ -351,12 +351,12 @@ class NonlinearDynamics:
 
 
 def commands_under_way(delay: float, substeps: int) -> int:
-    """Return how many earlier commands can still be on their way."""
+    """Return how many earlier commands the loop delay still holds back."""
     return math.ceil(delay / substeps)
 
 
 def arrival(delay: float, substeps: int, commands: int) -> FloatArray:
-    """Return which command acts in each physics step of a period, (substeps, commands + 1).
+    """Return which delayed command acts in each physics step of a period, (substeps, commands + 1).
 
     Rows sum to 1. Where a command arrives within a physics step, the step takes the mean current: the
     valve gets the same charge, and its lag is far longer than the step.

@@ -21,8 +21,8 @@ def diagonal(values: ArrayLike) -> FloatArray:
     return matrix
 
 
-def chain(storeys: ArrayLike) -> FloatArray:
-    """Return the tridiagonal matrix (..., n, n) of a chain fixed at its lower end.
+def chain_matrix(storeys: ArrayLike) -> FloatArray:
+    """Return the tridiagonal matrix (..., n, n) of a chain of storeys fixed at its lower end.
 
     Parameters
     ----------

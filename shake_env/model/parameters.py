@@ -18,7 +18,7 @@ from scipy.linalg import eigh
 
 from shake_env.errors import ParameterError
 from shake_env.model.matrices import FloatArray as FloatArray
-from shake_env.model.matrices import chain, symmetric_rows
+from shake_env.model.matrices import chain_matrix, symmetric_rows
 from shake_env.model.matrices import diagonal as diagonal
 from shake_env.model.nonlinearity import Nonlinearity, ServoValve
 from shake_env.model.ranges import RANGES, check, check_ranges
@@ -32,7 +32,7 @@ Part = TypeVar("Part", "Actuator", "Specimen", ServoValve, Nonlinearity)
 
 
 def unchecked(part: Part, **changes: Any) -> Part:
-    """Return a copy with fields changed that no check looks at: numbers derived from checked ones."""
+    """Return a copy of parameters with fields changed that follow from checked ones: none is checked."""
     changed = copy.copy(part)
     for name, value in changes.items():
         object.__setattr__(changed, name, value)
@@ -40,7 +40,7 @@ def unchecked(part: Part, **changes: Any) -> Part:
 
 
 def stacked(parts: Sequence[Part]) -> Part:
-    """Return one part whose numbers are arrays, (N,) or (N, stories): what N plants are made of at once.
+    """Return the parameters of N plants as one, whose numbers are arrays, (N,) or (N, stories).
 
     Each of `parts` was checked when it was made.
     """
@@ -245,12 +245,16 @@ class Specimen:
     def stiffness_matrix(self) -> FloatArray:
         """K, (..., stories, stories) [N/m]; tridiagonal for storeys."""
         given = self.coupled_stiffnesses
-        return chain(self.stiffnesses) if given is None else np.array(given)
+        return chain_matrix(self.stiffnesses) if given is None else np.array(given)
 
     @property
     def damping_matrix(self) -> FloatArray:
         """C, (..., stories, stories) [N s/m]; tridiagonal for storeys."""
-        return chain(self.dampings) if self.coupled_dampings is None else np.array(self.coupled_dampings)
+        return (
+            chain_matrix(self.dampings)
+            if self.coupled_dampings is None
+            else np.array(self.coupled_dampings)
+        )
 
     @property
     def coupled(self) -> bool:

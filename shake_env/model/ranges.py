@@ -217,6 +217,6 @@ def check_ranges(owner: object) -> None:
 
 
 def check(field: str, value: object, allowed: Range) -> None:
-    """Raise ParameterError unless `value` is within its range."""
+    """Raise ParameterError unless the `value` of a parameter is within its range."""
     if not allowed.holds(value):
         raise ParameterError(field, value, allowed.remedy)

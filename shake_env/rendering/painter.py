@@ -198,12 +198,12 @@ def rulers(scales: Sequence[float]) -> list[tuple[str, float]]:
     kinds = (("base motion", BASE_REACH), ("storey sway", SWAY_REACH))
     for (what, reach), scale in zip(kinds, scales, strict=False):
         value = nice_floor(scale)
-        marks.append((f"{length(value)} of {what}", reach * value / scale))
+        marks.append((f"{length_in_words(value)} of {what}", reach * value / scale))
     return marks
 
 
-def length(value: float) -> str:
-    """Return a length [m] in words."""
+def length_in_words(value: float) -> str:
+    """Return a length [m] in the words of a picture's ruler."""
     return f"{1e3 * value:g} mm" if value < 1.0 else f"{value:g} m"
 
 
@@ -264,7 +264,7 @@ def write(
     anchor: str = "lm",
     colour: str | int = BLACK,
 ) -> None:
-    """Write text; a trailing ``^2`` becomes an exponent, which the font at hand has no glyph for."""
+    """Write text on a picture; a trailing ``^2`` becomes an exponent, which the font lacks."""
     font = _font(size)
     word = text.removesuffix("^2")
     raised = _font(round(0.7 * size)) if word != text else None

@@ -120,7 +120,7 @@ class EnvRenderer:
         if not window.closed and (self._frame is None or self._due() != self._number):
             first = not window.is_open
             window.show(self.frame(), self._recorder.time)
-            if first and not window.seen:
+            if first and not window.on_display:
                 logger.warn(f"{NO_DISPLAY}: {REMEDY}")
 
 
@@ -143,7 +143,7 @@ class Window:
     def __init__(self, title: str, speed: float = 1.0) -> None:
         self.title, self.speed = title, speed
         self.closed = False
-        self.seen = True  # whether the window is on a display
+        self.on_display = True  # whether the window is on a display
         self._pygame = _pygame()
         self._surface: Any = None
         self._origin = 0.0  # [s] of the clock at the start of the episode
@@ -197,7 +197,9 @@ class Window:
         except self._pygame.error as error:
             raise ScenarioError("display", str(error), f"{NO_DISPLAY}: {REMEDY}") from None
         # Without a display SDL draws where nobody looks, which a user may also have asked for.
-        self.seen = self._pygame.display.get_driver() not in UNSEEN or "SDL_VIDEODRIVER" in os.environ
+        self.on_display = (
+            self._pygame.display.get_driver() not in UNSEEN or "SDL_VIDEODRIVER" in os.environ
+        )
         self._pygame.display.set_caption(self.title)
 
 

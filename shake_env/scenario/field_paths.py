@@ -69,7 +69,7 @@ class Node:
 
 
 def path_of(steps: Iterable[str | int]) -> str:
-    """Return a path as text: names with dots between them, places in brackets."""
+    """Return a scenario field's path as text: names with dots between them, places in brackets."""
     return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps).lstrip(".")
 
 

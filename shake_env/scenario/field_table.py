@@ -87,20 +87,20 @@ def fields_of(kind: Any) -> tuple[Field, ...]:
         ]
         meanings = _parameters(inspect.getdoc(kind) or "")
     return tuple(
-        Field(name, members(hints[name]), default, ranges.get(name), meanings.get(name, ""))
+        Field(name, union_members(hints[name]), default, ranges.get(name), meanings.get(name, ""))
         for name, default in pairs
     )
 
 
-def members(hint: Any) -> tuple[Any, ...]:
-    """Return the members of a union, those of its members included; the type itself otherwise."""
+def union_members(hint: Any) -> tuple[Any, ...]:
+    """Return the members of a union type, those of its members included; the type itself otherwise."""
     if typing.get_origin(hint) in (typing.Union, types.UnionType):
-        return tuple(kind for each in typing.get_args(hint) for kind in members(each))
+        return tuple(kind for each in typing.get_args(hint) for kind in union_members(each))
     return (hint,)
 
 
 def parts_of(kinds: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return the dataclasses among the types that a field may have."""
+    """Return the dataclasses among the types that a scenario's field may have."""
     return tuple(kind for kind in kinds if is_dataclass(kind))
 
 
@@ -108,7 +108,7 @@ def item_kinds(kinds: tuple[Any, ...]) -> tuple[Any, ...] | None:
     """Return the types of the items of a field that is a tuple; None where it is none."""
     for kind in kinds:
         if typing.get_origin(kind) is tuple:
-            return members(typing.get_args(kind)[0])
+            return union_members(typing.get_args(kind)[0])
     return None
 
 
@@ -129,16 +129,19 @@ def _comments(kind: type) -> dict[str, str]:
     """Return what the source says of each field: the comment on its line, or the docstring below it."""
     source = inspect.getsource(kind)
     pattern = r"^    (\w+): [^#\n]*(?:# *(.+)|\n    \"\"\"([^\"]+)\"\"\")$"
-    return {name: plain(a or b) for name, a, b in re.findall(pattern, source, re.MULTILINE)}
+    return {name: plain_docstring(a or b) for name, a, b in re.findall(pattern, source, re.MULTILINE)}
 
 
 def _parameters(docstring: str) -> dict[str, str]:
     """Return what the section ``Parameters`` of a numpy docstring says of each parameter."""
     section = re.search(r"^Parameters\n-+\n(.*?)(?=\n\n\w|\Z)", docstring, re.MULTILINE | re.DOTALL)
     pattern = r"^(\w+)\n((?:    .+\n?)+)"
-    return {name: plain(text) for name, text in re.findall(pattern, section[1] if section else "", re.M)}
+    return {
+        name: plain_docstring(text)
+        for name, text in re.findall(pattern, section[1] if section else "", re.M)
+    }
 
 
-def plain(text: str) -> str:
+def plain_docstring(text: str) -> str:
     """Return a docstring's text on one line, without its cross-references."""
     return re.sub(r":\w+:`[~!]?([^`]+)`", r"`\1`", " ".join(text.split()))

@@ -20,7 +20,7 @@ from shake_env.scenario.field_table import (
     fields_of,
     item_kinds,
     parts_of,
-    plain,
+    plain_docstring,
 )
 from shake_env.scenario.forms import FORMS
 from shake_env.scenario.observation import UNITS, Sensor
@@ -64,7 +64,9 @@ def _part(kind: Any, definitions: dict[str, Schema], unit: str) -> Schema:
     """Return the schema of a part given by its fields; `unit` is that of a sensor's signal."""
     return {
         "type": "object",
-        "description": plain((inspect.getdoc(kind) or "").split("\n\n")[0]).replace("None", NONE),
+        "description": plain_docstring((inspect.getdoc(kind) or "").split("\n\n")[0]).replace(
+            "None", NONE
+        ),
         "properties": {about.name: _field(about, definitions, unit) for about in fields_of(kind)},
         "additionalProperties": False,
     }

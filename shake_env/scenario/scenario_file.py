@@ -42,7 +42,7 @@ def is_scenario_file(name: object) -> bool:
 
 
 def flattened(value: Any, path: str = "", *, samples: bool = False) -> Iterator[tuple[str, Any]]:
-    """Yield path and plain value of every field of a frozen value; infinite numbers as words.
+    """Yield path and plain value of every field of a scenario's value; infinite numbers as words.
 
     A record from a file is its name, or (`samples`) an object with all that it holds.
     """

@@ -19,7 +19,7 @@ from shake_env.motion.targets import RecordedMotion
 from shake_env.records import Record, write_record
 from shake_env.scenario.builder import NONE
 from shake_env.scenario.field_paths import Steps
-from shake_env.scenario.field_table import OF_THE_SIGNAL, Field, fields_of, item_kinds, plain
+from shake_env.scenario.field_table import OF_THE_SIGNAL, Field, fields_of, item_kinds, plain_docstring
 from shake_env.scenario.forms import recorded_file
 from shake_env.scenario.observation import UNITS, Sensor
 from shake_env.scenario.quantities import format_quantity, is_unit
@@ -204,7 +204,7 @@ def _part(
 ) -> Iterator[_Section]:
     names = ".".join(str(step) for step in steps if isinstance(step, str))
     listed = isinstance(steps[-1], int)
-    about = plain((inspect.getdoc(type(part)) or "").split("\n\n")[0]).replace("None", NONE)
+    about = plain_docstring((inspect.getdoc(type(part)) or "").split("\n\n")[0]).replace("None", NONE)
     section = _Section(steps, f"[[{names}]]" if listed else f"[{names}]", about)
     if isinstance(part, RecordedMotion) and isinstance(part.record, Record):
         if record_file is None:
@@ -214,7 +214,9 @@ def _part(
         if listed:
             yield section
         form = _Section(
-            (*steps, "file"), f"[{names}.file]", plain(recorded_file.__doc__ or "").split(";")[0]
+            (*steps, "file"),
+            f"[{names}.file]",
+            plain_docstring(recorded_file.__doc__ or "").split(";")[0],
         )
         known = {"path": record_file(part.record), "name": part.record.name, "scale_to_table": False}
         for each in fields_of(recorded_file):

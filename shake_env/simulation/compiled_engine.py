@@ -30,7 +30,7 @@ from shake_env.simulation.engine import (
 from shake_env.simulation.helper_thread import Helpers
 from shake_env.simulation.motion_shapes import first_target, initial_filter_state
 from shake_env.simulation.output_pool import OutputPool
-from shake_env.simulation.table_records import LINE, TableRecords, aligned
+from shake_env.simulation.table_records import LINE, TableRecords, aligned_zeros
 from shake_env.simulation.transition import Outcome
 
 PIECES = 4  # of the tables for each thread
@@ -193,7 +193,7 @@ class CompiledEngine(TableRecords):
         taken.
         """
         rows, block = self._packed.rows, self._block
-        record = aligned(self._records[number].shape)
+        record = aligned_zeros(self._records[number].shape)
         record[:] = self._records[number]
         wholes = record.view(np.int64)
         record[rows["state"].start :, columns] = 0.0
@@ -207,16 +207,16 @@ class CompiledEngine(TableRecords):
         for column, each in zip(columns, episodes, strict=True):
             self._set_to_time_zero(record[:, column], wholes[:, column], each)
         shown = self._packed.sizes["shown"]
-        seen = np.empty(block * shown + LINE // 4, dtype=np.float32)
+        observations = np.empty(block * shown + LINE // 4, dtype=np.float32)
         self._call(
             START,
             first=number,
             last=number + 1,
             at_records=record.ctypes.data - number * self._records[0].nbytes,
-            at_seen=seen.ctypes.data - 4 * number * block * shown,
+            at_seen=observations.ctypes.data - 4 * number * block * shown,
         )
         self._records[number][:, columns] = record[:, columns]
-        return seen[: block * shown].reshape(block, shown)[columns]
+        return observations[: block * shown].reshape(block, shown)[columns]
 
     def _call(self, mode: int, **values: int) -> None:
         """Make a call that is no step, with some places of the table changed."""

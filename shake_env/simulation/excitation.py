@@ -20,7 +20,7 @@ from shake_env.model.nonlinearity import Yielding
 from shake_env.model.parameters import FloatArray
 from shake_env.model.random_numbers import GROUND, normals
 from shake_env.motion.targets import EpisodeMotion, FilteredNoise, RecordedMotion
-from shake_env.simulation.motion_shapes import first_target, initial_filter_state, shape
+from shake_env.simulation.motion_shapes import first_target, initial_filter_state, motion_shape
 
 IntArray = NDArray[np.int64]
 DRAWN = 32  # control periods whose normal numbers are made at once
@@ -118,7 +118,7 @@ class Excitation:
             row[index] = 0.0
         for lane, motion, key in zip(lanes, motions, keys, strict=True):
             self.motions[lane], self.key[lane] = motion, key
-            self._shapes[lane] = shape(motion, self._discrete, self.ahead)
+            self._shapes[lane] = motion_shape(motion, self._discrete, self.ahead)
             self._last_target[lane] = first_target(motion, dt)
             self._known[0][lane, : self._rows.ground] = initial_filter_state(motion, ground, dt)
         for lane, reference in zip(lanes, references or (), strict=False):
@@ -195,12 +195,12 @@ class Excitation:
     def _recorded(self, lanes: NDArray[np.intp], exogenous: FloatArray) -> FloatArray:
         """Return a period of recorded motions."""
         rows, k = self._rows, self._discrete.substeps
-        found = []
+        histories = []
         for lane in lanes:
             history = self._shapes[lane]
             assert history is not None  # a record has one
-            found.append(history[min(self.period[lane], len(history) - 1)])
-        samples = np.stack(found)
+            histories.append(history[min(self.period[lane], len(history) - 1)])
+        samples = np.stack(histories)
         target = samples[:, -(k + 1) :]
         moved = apply(
             self.maps.pick(lanes).record, np.concatenate([exogenous[:, rows.ground :], target], axis=1)
@@ -233,7 +233,7 @@ class Excitation:
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Go on from the state of an excitation of the same plant and number of lanes."""
         self.motions = state["motion"].tolist()
-        self._shapes = [shape(motion, self._discrete, self.ahead) for motion in self.motions]
+        self._shapes = [motion_shape(motion, self._discrete, self.ahead) for motion in self.motions]
         for name in ("key", "period", "slipping", "last_target"):
             getattr(self, name if name in ("key", "period") else f"_{name}")[...] = state[name]
         self._known = list(state["known"].swapaxes(0, 1).copy())

@@ -36,7 +36,7 @@ def control_steps(motion: EpisodeMotion, period: float, physics_step: float) -> 
     return steps
 
 
-def shape(motion: EpisodeMotion, discrete: DiscretePlant, ahead: int) -> FloatArray | None:
+def motion_shape(motion: EpisodeMotion, discrete: DiscretePlant, ahead: int) -> FloatArray | None:
     """Return what shapes the ground under a motion, or None for noise without an envelope.
 
     Parameters
@@ -99,7 +99,7 @@ def _history(motion: RecordedMotion, ground: GroundFilter, dt: float, k: int, ro
 
 @lru_cache(maxsize=64)
 def _intensity(motion: FilteredNoise, dt: float, k: int, ahead: int) -> FloatArray:
-    assert motion.envelope is not None  # `shape` asked
+    assert motion.envelope is not None  # `motion_shape` asked
     periods = control_steps(motion, k * dt, dt) + ahead + 1
     time = (np.arange(periods * k, dtype=np.float64) + 0.5) * dt
     rows = motion.envelope.at(time).reshape(periods, k)

@@ -25,7 +25,7 @@ BEHIND = 32  # numbers behind those of a table alone, which it reads and never u
 MOST_REPEATED = 16  # a whole exponent up to which a power is repeated multiplication
 
 
-def up(count: int, multiple: int) -> int:
+def rounded_up(count: int, multiple: int) -> int:
     """Return the next multiple of a whole number, or the number itself if it is one."""
     return -(-count // multiple) * multiple
 
@@ -49,7 +49,7 @@ class Packed:
 
 
 def pack(tables: Tables, block: int) -> Packed:
-    """Lay out the tables of a scenario in blocks of 1 or more."""
+    """Lay out a scenario's tables for the compiled engine, in blocks of 1 or more."""
     sizes = _sizes(tables)
     rows, record_rows = _slices(_field_rows(tables, sizes, block), FIELDS)
     sources = _sources(tables, sizes, rows)
@@ -57,7 +57,7 @@ def pack(tables: Tables, block: int) -> Packed:
     room, room_rows = _slices(_room_rows(sizes, block), ROOM)
     numbers, vectors = _numbers(tables, sizes)
     places, start = {}, 0
-    for name, matrix in matrices(tables).items():
+    for name, matrix in packed_matrices(tables).items():
         places[name] = (start, int(np.prod(matrix.shape[-2:])))
         start += places[name][1]
     return Packed(
@@ -75,7 +75,7 @@ def pack(tables: Tables, block: int) -> Packed:
     )
 
 
-def matrices(tables: Tables, lanes: Any = None) -> dict[str, FloatArray]:
+def packed_matrices(tables: Tables, lanes: Any = None) -> dict[str, FloatArray]:
     """Return each matrix, (rows, columns) or one a table, in the order of `layout.MATRICES`.
 
     Where each table has its own, of all, or of the tables `lanes` alone.
@@ -173,7 +173,7 @@ def _sizes(tables: Tables) -> dict[str, int]:
         "reference": ground.reference,
         "drive": ground.drive,
         "width": ground.width,
-        "stride": up(ground.width, 8),
+        "stride": rounded_up(ground.width, 8),
         "slots": ahead + 1,
         "ahead": ahead,
         "rank": draws // k,
@@ -203,7 +203,7 @@ def _field_rows(tables: Tables, sizes: Mapping[str, int], block: int) -> dict[st
         "floors": sizes["storeys_seen"],
         "bias": s,
         "gain": s,
-        "noise": up(s, 16 if block == 1 else 4),
+        "noise": rounded_up(s, 16 if block == 1 else 4),
         "reading": s,
         "past": sizes["history"],
         "slipping": 3 * sizes["stories"] * yields,
@@ -216,16 +216,16 @@ def _room_rows(sizes: Mapping[str, int], block: int) -> dict[str, int]:
     """Return how many rows of room each product and function needs."""
     order, k, n, columns = sizes["order"], sizes["substeps"], sizes["stories"], sizes["columns"]
     exogenous = sizes["filter"] + sizes["reference"]
-    drawn = exogenous + up(sizes["draws"], 16 if block == 1 else 4)
+    drawn = exogenous + rounded_up(sizes["draws"], 16 if block == 1 else 4)
     sums = (order + 2 * k, sizes["reference"] + k + sizes["drive"], 3 * n, sizes["storeys_seen"], k)
     return {
         "x": max(drawn, order + 1 + columns, 4 * n + 2),
-        "y": up(max(sums), 8),
-        "later": up(max(columns, n, 1), 8),
+        "y": rounded_up(max(sums), 8),
+        "later": rounded_up(max(columns, n, 1), 8),
         "outputs": 8,
-        "arriving": up(k, 8),
+        "arriving": rounded_up(k, 8),
         "samples": exogenous + k + 1,
-        "look": up(sizes["shown"], 16) // 2,
+        "look": rounded_up(sizes["shown"], 16) // 2,
     }
 
 
@@ -267,16 +267,16 @@ def _numbers(tables: Tables, sizes: Mapping[str, int]) -> tuple[FloatArray, dict
     inverse = np.ones(layout.size)
     inverse[: len(head)] = 1.0 / head
     inverse[layout.preview] = 1.0 / measured.preview_scale
-    found = (
+    vectors = (
         bounds, inverse, measured.resolution, measured.rounded, measured.scale,
         measured.rms, measured.offset, measured.gain_error,
     )  # fmt: skip
     starts, start = {}, len(scalars)
-    for name, values in zip(VECTORS, found, strict=True):
+    for name, values in zip(VECTORS, vectors, strict=True):
         starts[name] = start
         start += len(values)
     # Numbers behind, which a table alone reads and never uses.
-    values = [np.array(list(scalars.values()), dtype=float), *found, np.zeros(BEHIND)]
+    values = [np.array(list(scalars.values()), dtype=float), *vectors, np.zeros(BEHIND)]
     return np.concatenate(values), starts
 
 
@@ -285,19 +285,19 @@ def _sources(tables: Tables, sizes: Mapping[str, int], rows: Mapping[str, slice]
     layout = tables.scenario.observation
     ring, stride, k = rows["ring"].start, sizes["stride"], sizes["substeps"]
     filter_states, reference = sizes["filter"], sizes["reference"]
-    found = [(ring + i, 0, stride) for i in range(filter_states)]
+    sources = [(ring + i, 0, stride) for i in range(filter_states)]
     if layout.sensing.full_state:
-        found += [(rows["state"].start + i, 0, 0) for i in range(sizes["controlled"])]
-        found += [(ring + filter_states + i, 0, stride) for i in range(reference)]
-    found += [(rows["reading"].start + i, 0, 0) for i in range(sizes["readings"])]
+        sources += [(rows["state"].start + i, 0, 0) for i in range(sizes["controlled"])]
+        sources += [(ring + filter_states + i, 0, stride) for i in range(reference)]
+    sources += [(rows["reading"].start + i, 0, 0) for i in range(sizes["readings"])]
     samples, spacing = tables.preview
     for i in range(samples):
         ahead = (i + 1) * spacing - 1
-        found.append((ring + filter_states + reference + ahead % k, 1 + ahead // k, stride))
-    found += [(rows["action"].start, 0, 0)] * layout.sensing.last_action
-    found += [(rows["past"].start + i, 0, 0) for i in range(sizes["history"])]
+        sources.append((ring + filter_states + reference + ahead % k, 1 + ahead // k, stride))
+    sources += [(rows["action"].start, 0, 0)] * layout.sensing.last_action
+    sources += [(rows["past"].start + i, 0, 0) for i in range(sizes["history"])]
     segments: list[list[int]] = []
-    for i, (row, ahead, rows_of_slot) in enumerate(found):
+    for i, (row, ahead, rows_of_slot) in enumerate(sources):
         _, count, *place = segments[-1] if segments else (0, 0)
         if count and place == [row - count, ahead, rows_of_slot]:
             segments[-1][1] += 1
@@ -308,14 +308,14 @@ def _sources(tables: Tables, sizes: Mapping[str, int], rows: Mapping[str, slice]
 
 def _signals(tables: Tables, sizes: Mapping[str, int], rows: Mapping[str, slice]) -> IntArray:
     """Return the row of a record that each reading is taken from."""
-    k, found = sizes["substeps"], []
+    k, signal_rows = sizes["substeps"], []
     layout, places = tables.scenario.observation, tables.model.measurement.places
     for name, place in zip(layout.reading_names, places.tolist(), strict=True):
         if place >= 0:
-            found.append(rows["state"].start + place)
+            signal_rows.append(rows["state"].start + place)
         elif name.startswith("floor"):
-            found.append(rows["floors"].start + int(name.rsplit("_", 1)[1]) - 1)
+            signal_rows.append(rows["floors"].start + int(name.rsplit("_", 1)[1]) - 1)
         else:
             last = {"table_acceleration": k - 1, "base_shear": 2 * k - 1}[name]
-            found.append(rows["response"].start + last)
-    return np.array(found, dtype=np.int64)
+            signal_rows.append(rows["response"].start + last)
+    return np.array(signal_rows, dtype=np.int64)

@@ -13,7 +13,12 @@ from shake_env.dynamics import nonlinear as nonlinear_dynamics
 from shake_env.dynamics import yielding_reference as reference
 from shake_env.dynamics.drawn_plants import DrawnPlants, rows_of
 from shake_env.dynamics.ground import GroundMaps
-from shake_env.dynamics.nonlinear import NonlinearDynamics, arrival, commands_under_way, floor_rows
+from shake_env.dynamics.nonlinear import (
+    NonlinearDynamics,
+    arrival,
+    commands_under_way,
+    floor_rows,
+)
 from shake_env.errors import ScenarioError
 from shake_env.model.discretization import MOST_DIRECTIONS, DiscretePlant
 from shake_env.model.parameters import FloatArray, stacked, unchecked

@@ -11,7 +11,7 @@ from shake_env.kernels.layout import ONES
 from shake_env.model.parameters import FloatArray
 from shake_env.motion.targets import EpisodeMotion, FilteredNoise
 from shake_env.simulation.engine import IntArray, Tables
-from shake_env.simulation.motion_shapes import shape
+from shake_env.simulation.motion_shapes import motion_shape
 
 
 class ShapeAddresses:
@@ -28,17 +28,17 @@ class ShapeAddresses:
 
     def of(self, motions: Sequence[EpisodeMotion], used: Any) -> IntArray:
         """Return the number of each motion's shape; numbers that are not `used` may be given again."""
-        found = np.full(len(motions), ONES, dtype=np.int64)
+        numbers = np.full(len(motions), ONES, dtype=np.int64)
         for i, motion in enumerate(motions):
             if isinstance(motion, FilteredNoise) and motion.envelope is None:
                 continue
             if motion not in self._numbers:
-                self._add(motion, used() | set(found[:i].tolist()))
-            found[i] = self._numbers[motion]
-        return found
+                self._add(motion, used() | set(numbers[:i].tolist()))
+            numbers[i] = self._numbers[motion]
+        return numbers
 
     def _add(self, motion: EpisodeMotion, used: set[int]) -> None:
-        array = shape(motion, self._discrete, self._ahead)
+        array = motion_shape(motion, self._discrete, self._ahead)
         assert array is not None  # the caller asked
         for other, number in list(self._numbers.items()):
             if number not in used and len(self._numbers) > 2 * len(used):

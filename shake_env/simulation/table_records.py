@@ -19,7 +19,7 @@ from shake_env.model.parameters import FloatArray
 from shake_env.motion.targets import EpisodeMotion, FilteredNoise, RecordedMotion
 from shake_env.simulation.engine import BoolArray, LaneState, Tables
 from shake_env.simulation.excitation import motion_array
-from shake_env.simulation.packing import BEHIND, lane_rows, matrices, pack
+from shake_env.simulation.packing import BEHIND, lane_rows, pack, packed_matrices
 from shake_env.simulation.sensors import SensorMemory
 from shake_env.simulation.shape_addresses import ShapeAddresses
 
@@ -42,14 +42,14 @@ class TableRecords:
         self._own = bool(packed.sizes["own"])
         depth = block if self._own else 1
         copies = self._blocks if self._own else 1
-        self._records = aligned((self._blocks, packed.record_rows, block))
+        self._records = aligned_zeros((self._blocks, packed.record_rows, block))
         self._wholes = self._records.view(np.int64)
         self._record_alone, self._wholes_alone = self._records[0, :, 0], self._wholes[0, :, 0]
-        self._memory = aligned((copies * packed.matrices_size * depth + BEHIND,))
+        self._memory = aligned_zeros((copies * packed.matrices_size * depth + BEHIND,))
         self._matrices = self._memory[: copies * packed.matrices_size * depth].reshape(
             copies, packed.matrices_size, depth
         )
-        self._room = aligned((packed.room_rows * block,))
+        self._room = aligned_zeros((packed.room_rows * block,))
         self._given = np.zeros(self._padded)
         self._counters = np.zeros((2, self._padded), dtype=np.int64)
         self._counters[1] = FOREVER
@@ -155,7 +155,7 @@ class TableRecords:
         if len(index) == 1:
             block, column = int(block[0]), int(column[0])
         chosen = rows_of(index) if self._own else None
-        for name, matrix in matrices(self._tables, chosen).items():
+        for name, matrix in packed_matrices(self._tables, chosen).items():
             start, length = self._packed.matrices[name]
             if not length:
                 continue
@@ -219,7 +219,7 @@ class TableRecords:
         self._put("amplitude", np.array([motion.amplitude for motion in self.motions])[:, None])
 
 
-def aligned(shape: tuple[int, ...]) -> FloatArray:
+def aligned_zeros(shape: tuple[int, ...]) -> FloatArray:
     """Return zeros whose memory begins on a line of the cache."""
     count = int(np.prod(shape))
     memory = np.zeros(count + LINE // 8)

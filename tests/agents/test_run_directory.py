@@ -20,10 +20,10 @@ from agents.run_directory import (
     EVALUATIONS,
     POLICY,
     append_row,
-    contents,
-    create,
-    evaluations,
-    locked,
+    create_run_directory,
+    evaluations_of_run,
+    folder_contents,
+    locked_folder,
     parse_json,
     policy_of_run,
     read_json,
@@ -57,7 +57,7 @@ def test_an_error_of_the_operating_system_names_file_and_remedy(tmp_path, monkey
     monkeypatch.setattr(os, "fsync", fails)
     with pytest.raises(FileError, match=rf"a\.json.*{remedy}"):
         write_json(tmp_path / "a.json", {})
-    assert contents(tmp_path) == []
+    assert folder_contents(tmp_path) == []
     with pytest.raises(FileError, match=rf"rows\.jsonl.*{remedy}"):
         append_row(tmp_path / "rows.jsonl", {})
 
@@ -122,7 +122,7 @@ for name, write in {{
 
 def test_a_folder_that_is_a_file_is_named(tmp_path):
     (tmp_path / "a").write_text("")
-    with pytest.raises(FileError, match=r"/a"), locked(tmp_path / "a"):
+    with pytest.raises(FileError, match=r"/a"), locked_folder(tmp_path / "a"):
         pass
 
 
@@ -139,18 +139,20 @@ def test_half_a_line_is_dropped_and_never_joined_with_the_next(tmp_path, cut):
         == [{"steps": 0, "cost_ratio": 242.11}, {"steps": 512, "cost_ratio": 242.11}][: 1 + (cut == 1)]
     )
     append_row(file, {"steps": 512, "cost_ratio": 1.0})
-    assert evaluations(tmp_path)[len(rows) :] == [(512, 1.0)]
-    assert evaluations(tmp_path)[: len(rows)] == [(row["steps"], row["cost_ratio"]) for row in rows]
+    assert evaluations_of_run(tmp_path)[len(rows) :] == [(512, 1.0)]
+    assert evaluations_of_run(tmp_path)[: len(rows)] == [
+        (row["steps"], row["cost_ratio"]) for row in rows
+    ]
 
 
 def test_damage_within_a_file_of_rows_is_named_by_its_line(tmp_path):
     file = tmp_path / EVALUATIONS
     file.write_text('{"steps": 0, "cost_ratio": 1.0}\n{"steps": 1{"steps": 2}\n{"steps": 3}\n')
     with pytest.raises(RunDirectoryError, match="line 2"):
-        evaluations(tmp_path)
+        evaluations_of_run(tmp_path)
     file.write_text('{"steps": 3}\n')
     with pytest.raises(RunDirectoryError, match="no evaluation"):
-        evaluations(tmp_path)
+        evaluations_of_run(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -251,7 +253,10 @@ def test_another_process_is_refused_by_its_number_and_a_dead_ones_lock_taken_ove
     )
     try:
         assert process.stdout.readline().strip() == "held"
-        with pytest.raises(RunDirectoryError, match=rf"process {process.pid} on host"), locked(tmp_path):
+        with (
+            pytest.raises(RunDirectoryError, match=rf"process {process.pid} on host"),
+            locked_folder(tmp_path),
+        ):
             pass
     finally:
         process.kill()
@@ -259,7 +264,7 @@ def test_another_process_is_refused_by_its_number_and_a_dead_ones_lock_taken_ove
     (tmp_path / f".result.json.{process.pid}.partial").write_text("half")
     (tmp_path / "notes.partial").write_text("mine")
     again = pytest.raises(RunDirectoryError, match=f"process {os.getpid()}")
-    with locked(tmp_path), again, locked(tmp_path, 0.1):
+    with locked_folder(tmp_path), again, locked_folder(tmp_path, 0.1):
         pass
     assert sorted(f.name for f in tmp_path.iterdir() if f.name != ".lock") == ["notes.partial"]
 
@@ -272,13 +277,13 @@ def test_a_directory_is_made_with_its_first_files_or_not_at_all(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        create(run, fails)
+        create_run_directory(run, fails)
     assert list(run.parent.iterdir()) == []
-    create(run, lambda folder: write_json(folder / CONFIG, {}))
-    assert contents(run) == [CONFIG]
+    create_run_directory(run, lambda folder: write_json(folder / CONFIG, {}))
+    assert folder_contents(run) == [CONFIG]
     with pytest.raises(FileError):  # another process came first
         shutil.move(run, tmp_path / "b")
-        create(run, lambda folder: shutil.copytree(tmp_path / "b", run) and None)
+        create_run_directory(run, lambda folder: shutil.copytree(tmp_path / "b", run) and None)
 
 
 def test_an_unfinished_run_stands_for_its_best_policy(tmp_path):

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from agents.__main__ import main
 from agents.evaluation.comparison import compare
-from agents.reporting.benchmark_tables import markdown, put_tables
+from agents.reporting.benchmark_tables import benchmark_markdown, put_tables
 from agents.reporting.comparison_tables import print_tables
 from baselines.catalogue import BASELINES
 from baselines.lqr.sampled import sampled_lqr, stationary_performance
@@ -171,10 +171,12 @@ def test_a_page_without_markers_is_refused(tmp_path):
         "information": "causal", "causal_bound": {"exact": False, "text": "", "cost": None},
         "bound": {"costs": [1.0, 1.0], "disagreements": [0.0, 0.01], "reason": "", "below": []},
     }  # fmt: skip
-    text = markdown(result)
+    text = benchmark_markdown(result)
     assert "| x | record known \u2020 | 2.000 [2.000, 2.000] | 1.000 [1.000, 1.000] | 50 |" in text
     assert "knows more than the scenario shows" in text and "agree within" in text
-    assert "`x` takes 8 tests" in markdown(result) and "6.0 times the energy" in markdown(result)
+    assert "`x` takes 8 tests" in benchmark_markdown(
+        result
+    ) and "6.0 times the energy" in benchmark_markdown(result)
     with pytest.raises(ParameterError, match="put the lines"):
         put_tables(page, [result])
 

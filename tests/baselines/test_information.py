@@ -5,7 +5,7 @@ import pytest
 
 from agents.policies.registry import controllers, information_of
 from baselines.catalogue import BASELINES
-from baselines.information import INFORMATION, MEANINGS, within
+from baselines.information import INFORMATION, MEANINGS, knows_no_more
 from baselines.registry import make_baseline
 from shake_env import make_scenario
 from shake_env.errors import ShakeError
@@ -24,7 +24,7 @@ def test_every_controller_has_a_class_on_every_scenario():
     assert information_of("planned", linear) == "record known"
     assert information_of("ilc", linear) == "repeated tests"
     assert list(MEANINGS) == list(INFORMATION)
-    assert within("causal", "preview") and not within("record known", "preview")
+    assert knows_no_more("causal", "preview") and not knows_no_more("record known", "preview")
 
 
 @pytest.mark.parametrize("name", [n for n, b in BASELINES.items() if not b.takes_earthquakes])

@@ -10,7 +10,7 @@ from agents.__main__ import main
 from agents.evaluation.controller_set import describe_values, get_controllers, values_to_json
 from agents.evaluation.design import design
 from agents.evaluation.robustness import controllers_with_sources
-from agents.experiments.controller_tuning import keep, tune
+from agents.experiments.controller_tuning import keep_tuned_values, tune
 from agents.policies.base_law import at_own_cost, base_law
 from agents.policies.registry import get_controller
 from baselines.registry import make_baseline, parameter_values, tuned_parameters
@@ -206,7 +206,7 @@ def test_keep_refuses_another_kind_of_file(tmp_path):
     linear = make_scenario("linear", {"duration": 0.2})
     found = tune("tvc", linear, tmp_path / "t.db", budget=100, earthquakes=1)
     with pytest.raises(ParameterError, match="has no format"):
-        keep(found, file)
+        keep_tuned_values(found, file)
     assert file.read_text() == '{"laboratory": {}}'
 
 

@@ -85,7 +85,7 @@ class ForecastCommand(FolderOptions):
             scenario = replace(scenario, motion=quakes[0].motion)
         folder = self.results_folder("forecast")
         with self.execution.open_runner() as runner, progress_by_name() as on_progress:
-            found = forecast(
+            forecasts = forecast(
                 scenario,
                 self.controllers,
                 amplitudes=self.amplitudes,
@@ -95,21 +95,21 @@ class ForecastCommand(FolderOptions):
                 runner=runner,
                 on_progress=on_progress,
             )
-        chosen = advice(found, self.keep)
-        print_table(console, headings(), [cells(each) for each in found], names=2)
-        for each in found:
+        chosen = advice(forecasts, self.keep)
+        print_table(console, headings(), [cells(each) for each in forecasts], names=2)
+        for each in forecasts:
             console.print(
                 f"{each.controller}, amplitude {each.amplitude:g}: {each.coupling}", soft_wrap=True
             )
         console.print(escape(f"Use {chosen.controller}: {chosen.reason}"), soft_wrap=True)
         result = {
             "scenario": scenario.name,
-            "forecasts": [to_json(each) for each in found],
+            "forecasts": [to_json(each) for each in forecasts],
             "advice": asdict(chosen),
         }
         if folder is not None:
             title = f"Forecast of {scenario.name}"
-            for path in write_page(found, chosen, title, folder):
+            for path in write_page(forecasts, chosen, title, folder):
                 console.print(escape(f"wrote {path}"))
             write_json(folder / "forecast.json", result)
             console.print(escape(f"wrote {folder / 'forecast.json'}"))

@@ -86,12 +86,14 @@ def _test(forecast: Forecast) -> str:
 
 
 def _ordinates(forecast: Forecast) -> list[str]:
-    found = []
+    ordinates = []
     for name in UNITS:
         if name.startswith("spectrum_"):
             low, middle, high = forecast.interval(name)
-            found.append(f"{name.removeprefix('spectrum_')} s {middle:.3g} ({low:.3g} to {high:.3g})")
-    return found
+            ordinates.append(
+                f"{name.removeprefix('spectrum_')} s {middle:.3g} ({low:.3g} to {high:.3g})"
+            )
+    return ordinates
 
 
 def draw_bands(forecasts: Sequence[Forecast], folder: str | os.PathLike[str]) -> list[Path]:

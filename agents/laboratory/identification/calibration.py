@@ -81,17 +81,17 @@ def calibrate(
         plain = replace(scenario, uncertainty=Uncertainty(), limits=Limits())
         begun = time.process_time()
         try:
-            found = identify(
+            identified = identify(
                 [log], plain, prior=prior, discrepancy=False, samples=samples, without=without,
                 sampler_moves=sampler_moves, seed=number,
             )  # fmt: skip
-            estimate, true = (from_scale(prior.names, p) for p in (found.fit.mode, point))
+            estimate, true = (from_scale(prior.names, p) for p in (identified.fit.mode, point))
             relative = (estimate - true) / np.where(true > 0.0, true, np.inf)
             row |= {
                 "seconds": time.process_time() - begun,
-                "ranks": np.sum(found.posterior.points < point, axis=0).tolist(),
+                "ranks": np.sum(identified.posterior.points < point, axis=0).tolist(),
                 "errors": relative.tolist(),
-                "widths": (found.fit.deviations / prior.deviations).tolist(),
+                "widths": (identified.fit.deviations / prior.deviations).tolist(),
             }
         except ShakeError as error:
             row["failure"] = str(error)

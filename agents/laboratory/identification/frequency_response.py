@@ -49,13 +49,6 @@ class FrequencyResponse:
         shown: NDArray[np.bool_] = self.coherence >= GATE
         return shown
 
-    @property
-    def relative_deviation(self) -> FloatArray:
-        """Standard deviation of abs(H1) over abs(H1), (f,) (Bendat and Piersol, eq. 9.90)."""
-        squared = np.maximum(self.coherence, 1e-12)
-        deviation: FloatArray = np.sqrt((1.0 - squared) / (2.0 * squared * self.segments))
-        return deviation
-
 
 def frequency_responses(log: TestLog) -> list[FrequencyResponse]:
     """Return the responses between those of `PAIRS` that a log holds, and to every floor."""

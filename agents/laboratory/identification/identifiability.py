@@ -27,16 +27,16 @@ class Untold:
 
 def untold(fit: Fit) -> list[Untold]:
     """Return what the logs of a fit cannot tell."""
-    found = []
+    untold_parameters = []
     shares = fit.deviations / fit.prior.deviations
     for name, share in zip(fit.names, shares, strict=True):
         if share > FLAT:
             reason = f"the posterior is {100 * share:.0f} % as wide as the prior"
-            found.append(Untold((name,), reason, parameter(name).excitation))
+            untold_parameters.append(Untold((name,), reason, parameter(name).excitation))
     correlation = fit.correlation
     for i, j in np.argwhere(np.triu(np.abs(correlation) > TIED, k=1)).tolist():
         names = (fit.names[i], fit.names[j])
         reason = f"their correlation is {correlation[i, j]:.3f}"
         ways = dict.fromkeys(parameter(name).excitation for name in names)
-        found.append(Untold(names, reason, "; ".join(ways)))
-    return found
+        untold_parameters.append(Untold(names, reason, "; ".join(ways)))
+    return untold_parameters

@@ -184,16 +184,16 @@ class Likelihood:
         tables = plants(self.scenario, self.names, within(self.names, points))
         possible = [table for table in tables if table is not None]
         places = np.array([i for i, table in enumerate(tables) if table is not None], dtype=int)
-        found = [np.full((len(tables), *each.coefficients.shape), np.nan) for each in self.data]
+        errors_of_logs = [np.full((len(tables), *each.coefficients.shape), np.nan) for each in self.data]
         for first in range(0, len(possible), LANES):
             chunk = slice(first, first + LANES)
             slip = slip_after(possible[chunk], self.earlier)
-            for each, errors in zip(self.data, found, strict=True):
+            for each, errors in zip(self.data, errors_of_logs, strict=True):
                 current = each.log.channels[CURRENT]
                 prediction = predicted(possible[chunk], current, each.channels, slip)
                 errors[places[chunk]] = each.coefficients - fourier(prediction.readings)
                 slip = prediction.slip  # the specimen of the next log bore this one
-        return found
+        return errors_of_logs
 
     def residuals(self, points: FloatArray) -> FloatArray:
         """Return the whitened errors (N, all coefficients of all logs) at N points (N, p)."""

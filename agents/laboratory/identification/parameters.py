@@ -186,15 +186,15 @@ def plants(scenario: Scenario, names: Sequence[str], points: FloatArray) -> list
     None where a value is outside its range, or the physics step does not resolve the plant: such a
     point has no probability.
     """
-    found: list[Scenario | None] = []
+    scenarios: list[Scenario | None] = []
     with np.errstate(over="ignore"):
         values = from_scale(names, points)
     for row in values:
         try:
-            found.append(scenario.with_plant(dict(zip(names, row.tolist(), strict=True))))
+            scenarios.append(scenario.with_plant(dict(zip(names, row.tolist(), strict=True))))
         except (ParameterError, ScenarioError):
-            found.append(None)
-    return found
+            scenarios.append(None)
+    return scenarios
 
 
 def default_prior(

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from shake_env.errors import LogError, ScenarioError, ShakeError
+from shake_env.errors import LogError, ShakeError
 from shake_env.model.parameters import FloatArray
 from shake_env.scenario.digest import scenario_digest
 from shake_env.scenario.scenario import Scenario
@@ -190,24 +190,6 @@ def scenario_of_text(text: str) -> Scenario:
         raise LogError(
             "scenario", type(error).__name__, "is no scenario that this program wrote"
         ) from None
-
-
-def require_one_scenario(logs: list[TestLog]) -> Scenario:
-    """Return the plant, sensors and rates that all logs share, as the scenario of the first.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no log.
-    LogError
-        If two logs were driven with other tables, specimens, sensors or rates; motions may differ.
-    """
-    if not logs:
-        raise ScenarioError("logs", logs, "give at least one")
-    first = logs[0].scenario
-    for log in logs[1:]:
-        require_same_test(log.scenario, first, log.name)
-    return first
 
 
 SAME = (

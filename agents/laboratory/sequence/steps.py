@@ -29,7 +29,7 @@ from shake_env.scenario.plants.samples import PlantSamples
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.scenario_writer import write_scenario
 from shake_env.scenario.uncertainty import Uncertainty
-from shake_env.sequence_env import AMPLITUDES, rising
+from shake_env.sequence_env import AMPLITUDES, rising_amplitudes
 
 Progress = Callable[[str, float], None]
 
@@ -73,7 +73,7 @@ def plan(
         If the amplitudes do not rise, or the folder holds a sequence.
     """
     folder = Path(folder)
-    amplitudes = rising(amplitudes)
+    amplitudes = rising_amplitudes(amplitudes)
     if isinstance(scenario.motion, MotionSet):
         raise ParameterError("motion", "a set", "a sequence repeats one motion: name it")
     shakes = tuple(Shake(amplitude) for amplitude in amplitudes)

@@ -29,7 +29,7 @@ def trained_parameters(
     return actor, [p for p in trained if id(p) in critic]
 
 
-def features(
+def latent(
     policy: ActorCriticPolicy, observation: torch.Tensor, memory: torch.Tensor | None
 ) -> tuple[Features, torch.Tensor | None]:
     """Return the features (N, f) of actor and critic, and the policy's new memory (N, units).
@@ -52,8 +52,8 @@ def features(
     return (actor, policy.vf_features_extractor(observation)), None
 
 
-def value(policy: ActorCriticPolicy, critic_features: torch.Tensor) -> torch.Tensor:
-    """Return the value (...) of features (..., f)."""
+def state_value(policy: ActorCriticPolicy, critic_features: torch.Tensor) -> torch.Tensor:
+    """Return the critic's value (...) of features (..., f)."""
     values: torch.Tensor = policy.value_net(policy.mlp_extractor.forward_critic(critic_features))[..., 0]
     return values
 

@@ -21,7 +21,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
 from stable_baselines3.common.utils import safe_mean, update_learning_rate
 
-from agents.learning.apg.actor_critic import features, set_gradient, trained_parameters, value
+from agents.learning.apg.actor_critic import latent, set_gradient, state_value, trained_parameters
 from agents.learning.apg.loop_gradient import Kept
 from agents.learning.apg.td_lambda import td_lambda_targets
 from agents.learning.apg.window_rollout import Window, WindowRollout
@@ -262,7 +262,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         dtype = self.policy.action_net.weight.dtype
 
         def act(observation: torch.Tensor, memory: Kept) -> tuple[torch.Tensor, Kept, Kept]:
-            (actor, critic), memory = features(self.policy, observation.to(dtype), memory)
+            (actor, critic), memory = latent(self.policy, observation.to(dtype), memory)
             action = self.policy.action_net(self.policy.mlp_extractor.forward_actor(actor))[:, 0]
             return action, memory, critic if self.terminal_value else None
 
@@ -273,10 +273,10 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         critic_features: list[torch.Tensor] = []
         if self.terminal_value and window.history is not None:
             whole = window.history.shape[:-1]
-            (_, critic), _ = features(self.policy, window.history.flatten(end_dim=1).to(dtype), None)
+            (_, critic), _ = latent(self.policy, window.history.flatten(end_dim=1).to(dtype), None)
             critic_features = list(critic.reshape(*whole, -1))
         elif window.aside is not None:
-            (_, critic), _ = features(self.policy, window.shown.to(dtype), window.recalled)
+            (_, critic), _ = latent(self.policy, window.shown.to(dtype), window.recalled)
             critic_features = [*window.aside, critic]
         steps = torch.arange(self.window, device=self.device)
         discount = (self.gamma**steps).to(window.rewards.dtype)
@@ -284,7 +284,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         if self.terminal_value:
             lanes = torch.arange(len(window.ends), device=self.device)
             last = torch.stack(critic_features)[window.ends, lanes]
-            at_end = value(self.slow_policy, last).to(total.dtype)
+            at_end = state_value(self.slow_policy, last).to(total.dtype)
             follows = torch.where(window.terminated, 0.0, self.gamma ** window.ends.to(total) * at_end)
             total = total + follows
         return -total.mean() / discount.sum(), window, [each.detach() for each in critic_features]
@@ -339,7 +339,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
     @torch.no_grad()
     def _targets(self, window: Window, stacked: torch.Tensor) -> torch.Tensor:
         """Return TD(lambda) targets (H, N) by the slow critic, and of use up to each lane's end."""
-        values = value(self.slow_policy, stacked).cpu().numpy()
+        values = state_value(self.slow_policy, stacked).cpu().numpy()
         rewards, ended = window.rewards.detach().cpu().numpy(), window.broken != 0
         targets = td_lambda_targets(rewards, values, window.steps, ended, self.gamma, self.td_lambda)
         return torch.as_tensor(targets, dtype=stacked.dtype, device=stacked.device)
@@ -353,7 +353,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         losses = []
         for _ in range(self.critic_epochs):
             for part in torch.randperm(len(inputs)).to(inputs.device).chunk(self.critic_batches):
-                loss = torch.nn.functional.mse_loss(value(self.policy, inputs[part]), goals[part])
+                loss = torch.nn.functional.mse_loss(state_value(self.policy, inputs[part]), goals[part])
                 norm = set_gradient(self.policy, loss, self._critic, self.max_grad_norm)
                 if np.isfinite(norm):
                     self._step()

@@ -125,7 +125,7 @@ class ClosedLoop:
         ends, alive = np.empty((steps, *state.shape)), np.empty((steps, lanes), dtype=bool)
         acceleration, shear = np.empty((steps, lanes, k)), np.empty((steps, lanes, k))
         correction, total = np.empty((steps, lanes)), np.empty((steps, lanes))
-        known = kept = start.law
+        known = law_memory = start.law
         past = start.sensors.past.reshape(lanes, -1)
         for t in range(steps):
             begun[t] = state
@@ -148,8 +148,8 @@ class ClosedLoop:
             row[:, columns["past"]] = past
             row[:, columns["action"]] = action[:, None]
             if self.law is not None:
-                kept = self.law.keep(known, action)
-                row[:, columns["law"]] = kept
+                law_memory = self.law.keep(known, action)
+                row[:, columns["law"]] = law_memory
             made = row @ signals.matrix.T
             misread = start.sensors.gain * made[:, rows["signals"]]
             misread += self._rounding(made[:, rows["signals"]] + misread + row[:, columns["added"]])
@@ -169,7 +169,9 @@ class ClosedLoop:
         sensors = SensorMemory(
             start.sensors.bias, start.sensors.gain, total[-1].clip(-1.0, 1.0), history
         )
-        return Passage(begun, ends, acceleration, shear, correction, total, shown, alive, sensors, kept)
+        return Passage(
+            begun, ends, acceleration, shear, correction, total, shown, alive, sensors, law_memory
+        )
 
     def sweep(
         self,
@@ -213,9 +215,9 @@ class ClosedLoop:
             back = out @ signals.matrix
             action = slopes["action"][t] + back[:, columns["action"]][:, 0]
             if law is not None:
-                known, kept = _forget(law, back[:, columns["law"]])
+                known, action_slope = _forget(law, back[:, columns["law"]])
                 out[:, rows["law"]] = known
-                action += kept
+                action += action_slope
             out[:, rows["past"]] = back[:, columns["past"]]
             state[:, columns["state"]] += back[:, columns["state"]]
             if self._floors:

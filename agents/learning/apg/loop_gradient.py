@@ -65,7 +65,7 @@ def differentiable(
     act: Act,
     parameters: Sequence[torch.Tensor],
 ) -> tuple[torch.Tensor, ...]:
-    """Return the parts of a passage in the order of :data:`SLOPES`, with their gradient.
+    """Return the parts of a closed loop's passage in the order of :data:`SLOPES`, with their gradient.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def differentiable(
 
 
 @torch.no_grad()
-def correction(act: Act, shown: FloatArray) -> FloatArray:
+def policy_correction(act: Act, shown: FloatArray) -> FloatArray:
     """Return a policy's corrections (N,) for what is shown (N, n), without a gradient."""
     action: FloatArray = act(torch.from_numpy(shown), None)[0].to(torch.float64).numpy()
     return action

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from torch.utils.checkpoint import checkpoint
 
 from agents.learning.apg.closed_loop import ClosedLoop, Start
-from agents.learning.apg.loop_gradient import Act, Kept, correction, differentiable
+from agents.learning.apg.loop_gradient import Act, Kept, differentiable, policy_correction
 from agents.learning.apg.plant_period import period_of
 from agents.learning.apg.torch_plant import torch_model
 from agents.learning.vec_env import ShakeTableVecEnv
@@ -209,7 +209,7 @@ class WindowRollout:
             shown = np.concatenate([observation, believed], axis=-1)
         ground, noise = self._ahead(steps)
         start = Start(simulation.state, simulation.memory, shown, known, age)
-        passage = loop.run(start, ground, noise, partial(correction, act))
+        passage = loop.run(start, ground, noise, partial(policy_correction, act))
         state, acceleration, shear, action, history = differentiable(loop, passage, age, act, parameters)
         model = self.model
         outcome = model.judge(

@@ -34,7 +34,7 @@ class AcceptanceSection:
 
 
 def acceptance_section(report: Report) -> AcceptanceSection | None:
-    """Return what the page shows; None where no spectrum was named, or no table moved.
+    """Return the report's section on a required spectrum; None where none was named, or no table moved.
 
     The earthquakes are those of the verdict; the figure shows the first.
     """

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from agents.acceptance.clauses import Acceptance, accept
 from agents.acceptance.options import AcceptanceOptions
-from agents.evaluation.bootstrap import mean_interval
 from agents.evaluation.comparison import Histories
 from agents.evaluation.fidelity import spectrum
 from agents.evaluation.results import Comparison, drive_column
+from agents.evaluation.statistics import mean_interval
 from agents.policies.policy_file import PolicyFile, load_policy
 from agents.policies.registry import ORACLE, SHIPPED, policy_path
 from agents.reporting.report.estimates import Drawn, TransferEstimate, lqr_frontier
@@ -171,7 +171,7 @@ def make_report(
         gathered=gathered,
         verdict=judgement,
         labels=labels,
-        channels=channels(scenario),
+        channels=report_channels(scenario),
         trade_off=trade_off,
         # It is of filtered noise; under other motions a law may do better, or worse.
         frontier=lqr_frontier(scenario) if judgement.group == "filtered noise" else [],
@@ -183,8 +183,8 @@ def make_report(
     )
 
 
-def channels(scenario: Scenario) -> tuple[Channel, ...]:
-    """Return the panels of the curves over time, with the scenario's limits."""
+def report_channels(scenario: Scenario) -> tuple[Channel, ...]:
+    """Return the panels of a report's curves over time, with the scenario's limits."""
     limits, valve = scenario.limits, scenario.nonlinearity.valve
     pressure = limits.load_pressure
     if pressure is None and np.isfinite(valve.supply_pressure):
@@ -206,7 +206,7 @@ def channels(scenario: Scenario) -> tuple[Channel, ...]:
 
 
 def unique_labels(names: Sequence[str]) -> dict[str, str]:
-    """Return a short label of each controller: paths by as much of their end as tells them apart."""
+    """Return a short label of each controller of a report: of a path, the end that tells it apart."""
     parts: dict[str, list[str]] = {}
     for name in names:
         path = Path(name)

@@ -26,7 +26,7 @@ UNITS = {
 
 
 def page_data(report: Report) -> dict[str, Any]:
-    """Return everything that the page's script reads, NaN as null."""
+    """Return everything that the script of the report's page reads, NaN as null."""
     gathered, comparison = report.gathered, report.comparison
     names = report.controllers
     packed = pack_all(
@@ -96,7 +96,7 @@ def page_data(report: Report) -> dict[str, Any]:
 
 
 def spectral_ratio(report: Report, name: str) -> NDArray[np.float64]:
-    """Return achieved over target ordinates (periods,), geometric mean over the verdict's group.
+    """Return a report's ratio of response spectra, achieved over target (periods,), geometric mean.
 
     NaN for a table that stands still.
     """

@@ -21,7 +21,7 @@ from agents.figure_style import (
     figure_style,
     new_figure,
     save_figure,
-    strongest,
+    strongest_seconds,
 )
 from agents.reporting.report.contents import Report
 from agents.reporting.report.data import UNITS, spectral_ratio
@@ -30,8 +30,8 @@ from agents.reporting.report.traces import Curves
 LEAST = 1e-12
 
 
-def stills(report: Report, folder: str | PathLike[str]) -> list[str]:
-    """Draw every figure that there are data for; return their names, without endings."""
+def draw_report_figures(report: Report, folder: str | PathLike[str]) -> list[str]:
+    """Draw every figure of a report that there are data for; return their names, without endings."""
     folder = Path(folder)
     drawn = []
     with figure_style():
@@ -74,7 +74,7 @@ def _time(curves: Curves) -> Any:
 
 
 def _strongest(target: Curves) -> tuple[float, float]:
-    return strongest(_time(target), target.values["shear"])
+    return strongest_seconds(_time(target), target.values["shear"])
 
 
 def _traces(report: Report) -> Figure:

@@ -19,19 +19,19 @@ from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 import shake_env
-from agents.evaluation.bootstrap import mean_interval
 from agents.evaluation.results import GroupSummary, drive_column
+from agents.evaluation.statistics import mean_interval
 from agents.figure_style import figure_style
 from agents.policies.registry import ORACLE
-from agents.reporting.bound_notes import marked
+from agents.reporting.bound_notes import marked_class
 from agents.reporting.comparison_tables import comparison_notes
 from agents.reporting.report.acceptance import acceptance_section
 from agents.reporting.report.contents import Report
 from agents.reporting.report.data import page_data
-from agents.reporting.report.figures import stills
+from agents.reporting.report.figures import draw_report_figures
 from agents.reporting.report.tracking import TRACKING_COLUMNS, tracking_rows
-from agents.reporting.robustness_figures import figures
-from agents.reporting.robustness_tables import findings, label
+from agents.reporting.robustness_figures import robustness_figures
+from agents.reporting.robustness_tables import controller_label, robustness_findings
 from agents.reporting.summary_text import QUESTIONS
 from shake_env.files import write_text
 
@@ -41,8 +41,8 @@ ROBUSTNESS_FIGURES = (
 )
 
 
-def page(report: Report, stills: Sequence[str]) -> str:
-    """Return the page.
+def report_page(report: Report, stills: Sequence[str]) -> str:
+    """Return the HTML page of a report.
 
     Parameters
     ----------
@@ -104,8 +104,12 @@ def _environment() -> Environment:
         undefined=StrictUndefined,
     )
     environment.filters.update(
-        number=_number, picture=_png, interval=_interval, unbroken=unbroken, marked=marked
-    )  # fmt: skip
+        number=_number,
+        picture=_png,
+        interval=_interval,
+        unbroken=unbroken_percentages,
+        marked=marked_class,
+    )
     environment.tests["finite"] = _finite
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
     return environment
@@ -128,8 +132,8 @@ def _setting(report: Report) -> str:
     return ", ".join(parts) + "."
 
 
-def unbroken(sentence: str) -> Markup:
-    """Return a sentence as HTML whose numbers keep their percent signs."""
+def unbroken_percentages(sentence: str) -> Markup:
+    """Return a sentence as HTML whose numbers keep their percent signs on their line."""
     return escape(sentence).replace(" %", Markup("&nbsp;%"))
 
 
@@ -153,11 +157,13 @@ def _interval(ends: tuple[float, float, float]) -> Markup:
 
 def _robustness(result: dict[str, Any]) -> dict[str, Any]:
     """Return the pictures of a robustness result, and what it says of each controller."""
-    pictures = zip(ROBUSTNESS_FIGURES, map(_png, figures(result).values()), strict=False)
+    pictures = zip(ROBUSTNESS_FIGURES, map(_png, robustness_figures(result).values()), strict=False)
     others = [each for each in result["controllers"] if each["name"] != result["reference"]]
     return {
         "pictures": list(pictures),
-        "findings": [(label(each), findings(result, each["name"])) for each in others],
+        "findings": [
+            (controller_label(each), robustness_findings(result, each["name"])) for each in others
+        ],
     }
 
 
@@ -169,9 +175,9 @@ def _png(figure: Figure) -> str:
 
 
 def write_report(report: Report, folder: str | PathLike[str]) -> list[Path]:
-    """Write ``index.html`` and every figure as SVG and PNG into a folder; return the paths."""
+    """Write a report: ``index.html`` and every figure as SVG and PNG into a folder; return the paths."""
     folder = Path(folder)
-    names = stills(report, folder)
+    names = draw_report_figures(report, folder)
     path = folder / "index.html"
-    write_text(path, page(report, names))
+    write_text(path, report_page(report, names))
     return [path, *(folder / f"{name}.{ending}" for name in names for ending in ("svg", "png"))]

@@ -55,7 +55,7 @@ class Curves:
 
 
 def achieved_curves(trajectory: Trajectory, drift: bool, input_factor: float = 1e3) -> Curves:
-    """Return what the table and the specimen did, at the end of each control period.
+    """Return a report's curves of what table and specimen did, at the end of each control period.
 
     `input_factor` takes the input to the unit of its panel: 1e3 to mA.
     """
@@ -74,7 +74,7 @@ def achieved_curves(trajectory: Trajectory, drift: bool, input_factor: float = 1
 
 
 def target_curves(trajectory: Trajectory, drift: bool) -> Curves:
-    """Return what they should have done."""
+    """Return a report's curves of what table and specimen should have done."""
     steps = len(trajectory.current)
     ends = slice(len(trajectory.time) // steps - 1, None, len(trajectory.time) // steps)
     values = {
@@ -90,8 +90,8 @@ def _rate(trajectory: Trajectory) -> float:
     return 1.0 / float(trajectory.control_time[0])
 
 
-def pack(curves: Curves) -> dict[str, Any]:
-    """Return curves as text: `unpack` is the other way round."""
+def pack_curves(curves: Curves) -> dict[str, Any]:
+    """Return curves over time as text for a report's page; `unpack_curves` is the other way round."""
     scales, parts = {}, []
     for name, curve in curves.values.items():
         known = np.nan_to_num(curve.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
@@ -105,8 +105,8 @@ def pack(curves: Curves) -> dict[str, Any]:
     return {"rate": curves.rate, "samples": samples, "scales": scales, "blob": blob}
 
 
-def unpack(packed: Mapping[str, Any]) -> Curves:
-    """Return the curves that a page shows; the page's own script does the same."""
+def unpack_curves(packed: Mapping[str, Any]) -> Curves:
+    """Return the curves over time that a report's page shows; the page's own script does the same."""
     data = zlib.decompress(base64.b64decode(packed["blob"]))
     numbers, value, shift = [], 0, 0
     for byte in data:
@@ -163,7 +163,7 @@ def pack_all(
 
 
 def _pack_thinned(curves: Sequence[Curves], stride: int) -> list[dict[str, Any]]:
-    return [pack(each.thinned(stride)) for each in curves]
+    return [pack_curves(each.thinned(stride)) for each in curves]
 
 
 def _size(packed: Sequence[Sequence[Mapping[str, Any]]]) -> int:

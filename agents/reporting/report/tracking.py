@@ -22,7 +22,7 @@ TRACKING_COLUMNS: tuple[tuple[str, str, int], ...] = (
 def tracking_rows(
     tracking: Mapping[str, Sequence[TrackingFigures]], members: Sequence[int]
 ) -> dict[str, list[float]]:
-    """Return the means over some earthquakes by controller, a value for each of `TRACKING_COLUMNS`.
+    """Return a report's means of `TRACKING_COLUMNS` over some earthquakes, by controller.
 
     Figures that an earthquake does not have are left out of its mean; NaN where none has them.
 

@@ -68,15 +68,15 @@ def reproduce(
     cases = [(t, n, mu) for t in WEIGHTS for mu in MASS_RATIOS for n in STORIES]
     results: dict[str, Any] = {
         "source": "Gavin and Hoagg, Control Objectives for Seismic Simulators, ACC 2009",
-        "arithmetic": tables.arithmetic(),
+        "arithmetic": tables.values_of_table_1(),
         "equations": tables.equation_effects(),
-        "cells": [tables.cell(*case) for case in cases],
+        "cells": [tables.cell_of_table(*case) for case in cases],
         "rounding": tables.rounding_of_the_added_weight("III", 2, 0.5),
     }
     done("Tables II and III: 18 cells, both models, two methods")
 
     weights = np.logspace(-12.0, 1.0, sweep_points)
-    sweeps = [tables.sweep(*case, model, weights) for model in MODELS for case in cases]
+    sweeps = [tables.sweep_added_weight(*case, model, weights) for model in MODELS for case in cases]
     results["sweep"] = {"added_weights": weights.tolist(), "curves": sweeps}
     done(f"added weight: {len(sweeps)} curves of {sweep_points} designs")
 
@@ -85,9 +85,9 @@ def reproduce(
     results["trade_off"] = {str(n): rows for n, rows in curves.items()}
     unaware = {
         n: {
-            "without": tables.unaware(n, UNAWARE_MASS_RATIOS, DESIGN_WITHOUT_SPECIMEN),
-            "without, limit mu = 1e-9": tables.unaware(n, UNAWARE_MASS_RATIOS, 1e-9),
-            "with": tables.unaware(n, UNAWARE_MASS_RATIOS, None),
+            "without": tables.unaware_design(n, UNAWARE_MASS_RATIOS, DESIGN_WITHOUT_SPECIMEN),
+            "without, limit mu = 1e-9": tables.unaware_design(n, UNAWARE_MASS_RATIOS, 1e-9),
+            "with": tables.unaware_design(n, UNAWARE_MASS_RATIOS, None),
         }
         for n in TRADE_OFF_STORIES
     }
@@ -104,7 +104,7 @@ def reproduce(
 
     files += [_write_csv(results["cells"], output), output / "reproduction.json", output / "tables.md"]
     write_text(files[-2], json.dumps(results, indent=1, allow_nan=False) + "\n")
-    write_text(files[-1], markdown(results))
+    write_text(files[-1], reproduction_tables(results))
     done("tables written")
     return {**results, "seconds": time.perf_counter() - started, "files": [str(f) for f in files]}
 
@@ -136,8 +136,8 @@ def _pair(norms: dict[str, Any] | None, floor: float = 0.0) -> str:
     return f"{norms['acceleration']:.3g} : {'0' if shear < floor else format(shear, '.3g')}"
 
 
-def markdown(results: dict[str, Any]) -> str:
-    """Return every table of the reproduction as markdown."""
+def reproduction_tables(results: dict[str, Any]) -> str:
+    """Return every table of the paper's reproduction as Markdown."""
     parts = ["# Tables of the reproduction\n", "Written by `shake reproduce`; every number is computed,"]
     parts.append("except those under *published*.\n")
     curves = {

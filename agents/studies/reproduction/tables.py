@@ -74,7 +74,7 @@ class Design:
 
 
 def design(plant: CoupledPlant, table: str, added_weight: float = 0.0) -> Design | None:
-    """Return the norms with the weights of `table`; None where rounding leaves no stable design."""
+    """Return the norms of the LQR with a table's weights; None where rounding leaves no stable one."""
     q_1, q_2 = WEIGHTS[table]
     try:
         law = continuous_lqr(plant, q_1=q_1, q_2=q_2, added_weight=added_weight)
@@ -93,7 +93,7 @@ def design(plant: CoupledPlant, table: str, added_weight: float = 0.0) -> Design
     )
 
 
-def cell(table: str, stories: int, mass_ratio: float) -> dict[str, Any]:
+def cell_of_table(table: str, stories: int, mass_ratio: float) -> dict[str, Any]:
     """Return one cell of Table II or III: published, as printed (both regularisations), corrected."""
     q_1, q_2 = WEIGHTS[table]
     printed = table_plant(stories, mass_ratio, ModelEquations.as_printed())
@@ -119,10 +119,10 @@ def cell(table: str, stories: int, mass_ratio: float) -> dict[str, Any]:
     }
 
 
-def sweep(
+def sweep_added_weight(
     table: str, stories: int, mass_ratio: float, model: str, added_weights: FloatArray
 ) -> dict[str, Any]:
-    """Return the norms over the added weight, and which weight would explain the published cell.
+    """Return both norms over the added weight, and which weight would explain the published cell.
 
     ``explains`` has, for each norm, the weights at which the curve crosses the published value, and
     the weight at which the worse of the two is nearest, with the factor by which it still misses.
@@ -194,7 +194,7 @@ def trade_off(stories: int, mass_ratio: float, ratios: Sequence[float]) -> list[
     return rows
 
 
-def unaware(
+def unaware_design(
     stories: int, mass_ratios: Sequence[float], design_mass_ratio: float | None
 ) -> list[dict[str, float]]:
     """Return the errors of a 200 Hz LQR designed for another specimen mass than the one on the table.
@@ -274,7 +274,7 @@ def equation_effects(stories: int = 2, mass_ratio: float = 0.5) -> list[dict[str
     return rows
 
 
-def arithmetic() -> dict[str, Any]:
+def values_of_table_1() -> dict[str, Any]:
     """Return what Table I gives for quantities that the text rounds or names loosely."""
     actuator = Actuator()
     modes = {n: Specimen.uniform(stories=n).fixed_base_frequencies.tolist() for n in STORIES}

@@ -48,7 +48,7 @@ class Group:
 
 
 def groups(scenario: Scenario, noise: int) -> list[Group]:
-    """Return records, filtered noise, and enveloped filtered noise with a high-passed ground filter."""
+    """Return the validation's motions by group: records, filtered noise, enveloped filtered noise."""
     free = replace(scenario, limits=Limits(), current_limit=UNCLIPPED)
     group_list = [Group("records", free, recorded_earthquakes(free))]
     if noise == 0:
@@ -64,7 +64,7 @@ def groups(scenario: Scenario, noise: int) -> list[Group]:
 
 
 def gains(scenario: Scenario) -> dict[str, FloatArray]:
-    """Return the gains (n,) of the two sampled-data controllers."""
+    """Return the LQR gains (n,) of the validation's two sampled-data controllers."""
     specimen, table = scenario.specimen, scenario.actuator.table_mass
     shrink = UNKNOWN_SPECIMEN * table / specimen.mass
     empty = replace(scenario, specimen=specimen.scaled(mass=shrink))
@@ -212,7 +212,7 @@ def continuous_name(table: str) -> str:
 def continuous_response(
     loop: ContinuousClosedLoop, scenario: Scenario, name: str, target: FloatArray
 ) -> tuple[Motion, Response]:
-    """Return what the full closed loop makes of a target (samples,) at the physics step."""
+    """Return what the validation's full closed loop makes of a target (samples,) at the physics step."""
     step, ground = scenario.physics_step, loop.plant.ground
     response = forced_response(loop.system, ground, target, step, loop.index["table_velocity"])
     signals = {name: response.outputs[:, i] for name, i in loop.index.items() if "drift" not in name}

@@ -108,7 +108,7 @@ def validate(
     files: list[Path] = []
     if output is not None:
         output = Path(output)
-        files += output_files.write(results, output)
+        files += output_files.write_validation(results, output)
         files += figures.hankel(loops, output)
         files += figures.transfer(loops, output)
         files += figures.ranges(checks, output)

@@ -24,7 +24,7 @@ SHORT = {
 }  # fmt: skip
 
 
-def write(results: dict[str, Any], folder: str | PathLike[str]) -> list[Path]:
+def write_validation(results: dict[str, Any], folder: str | PathLike[str]) -> list[Path]:
     """Write validation.json, ranges.csv, reduction.csv and validation.md; return their paths."""
     folder = Path(folder)
     paths = [folder / n for n in ("validation.json", "ranges.csv", "reduction.csv", "validation.md")]
@@ -37,7 +37,7 @@ def write(results: dict[str, Any], folder: str | PathLike[str]) -> list[Path]:
     write_csv(paths[1], list(flat[0]), flat)
     orders = [{"table": t} | row for t, r in results["reduction"].items() for row in r["orders"]]
     write_csv(paths[2], list(orders[0]), orders)
-    write_text(paths[3], markdown(results))
+    write_text(paths[3], validation_tables(results))
     return paths
 
 
@@ -130,8 +130,8 @@ def responses_table(differences: Sequence[dict[str, Any]]) -> tuple[list[str], R
     return head, rows
 
 
-def markdown(results: dict[str, Any]) -> str:
-    """Return every table of the validation as markdown."""
+def validation_tables(results: dict[str, Any]) -> str:
+    """Return every table of the transient validation as Markdown."""
     motions, reduction = results["motions"], results["reduction"]
     parts = ["# Tables of the transient validation\n", "Written by `shake validate-transients`.\n"]
     parts.append("## Ranges\n")

@@ -96,7 +96,7 @@ def hdf5_items(
 
 
 def require_here(source: str, item: Item) -> None:
-    """Raise RecordError where an item lies in another file, or may."""
+    """Raise RecordError where an item of an HDF5 file lies in another file, or may."""
     if item.kind == "link":
         remedy = "is a link, perhaps to another file, and is not followed"
         raise RecordError(source, item.path, remedy)

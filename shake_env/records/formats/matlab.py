@@ -20,7 +20,7 @@ from shake_env.records.record import Record
 from shake_env.records.text.header import LARGEST_TABLE, labelled, naming
 from shake_env.records.text.table import Table
 from shake_env.records.text.times import is_even
-from shake_env.records.text.titles import Title, title_of
+from shake_env.records.text.titles import Title, column_title
 from shake_env.records.units import Unit
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -211,11 +211,11 @@ def _columns(arrays: dict[str, FloatArray]) -> tuple[list[FloatArray], list[Titl
         for index, column in enumerate(array.T):
             columns.append(np.array(column))
             if several and index == 0 and is_even(column):  # [time, acceleration] under one name
-                titles.append(title_of("time"))
+                titles.append(column_title("time"))
             else:
-                title = title_of(_short(key))
+                title = column_title(_short(key))
                 if title.unit in _DIRECTIONS and title.kind != "acceleration":  # acc_n: no newtons
-                    title = title_of(title.text)
+                    title = column_title(title.text)
                 text = f"{key}({index + 1})" if several else key
                 titles.append(replace(title, text=text))
     return columns, titles

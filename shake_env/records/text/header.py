@@ -26,7 +26,7 @@ Keyed = dict[str, tuple[int, str]]
 
 
 def lower(source: SourceText, index: int) -> str:
-    """Return the beginning of a line in lower case, blanks at its ends taken off."""
+    """Return the beginning of a header's line in lower case, blanks at its ends taken off."""
     return source.line(index)[:LONGEST_LINE].strip().lower()
 
 
@@ -59,7 +59,7 @@ def keyed_lines(source: SourceText, first: int, last: int, marker: str = "") -> 
 
 
 def needed(source: SourceText, header: Keyed, key: str, last: int) -> tuple[int, str]:
-    """Return line and text of a key that the header must hold.
+    """Return line and text of a key that a record's header must hold.
 
     Raises
     ------

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from shake_env.records.text.layout import Layout
 from shake_env.records.text.source import NUMBER, SourceText, number
-from shake_env.records.text.titles import Title, title_of
+from shake_env.records.text.titles import Title, column_title
 from shake_env.records.units import quantity_of, unit_in_words, unit_named
 
 MOST_LINES = 200
@@ -50,7 +50,7 @@ def read_heading(source: SourceText, first: int, layout: Layout) -> Heading:
     rows = _title_rows(source, lines, layout)
     if rows:
         texts, units = rows[0][1], rows[1][1] if len(rows) > 1 else [""] * len(rows[0][1])
-        heading.titles = [title_of(t, u) for t, u in zip(texts, units, strict=True)]
+        heading.titles = [column_title(t, u) for t, u in zip(texts, units, strict=True)]
         heading.title_line = rows[0][0]
         heading.entries["titles"] = rows[0][0], source.line(rows[0][0]).strip()
     taken = [line for line, _ in rows]
@@ -193,13 +193,13 @@ def _cells(line: str, layout: Layout) -> list[str]:
             cells = cells[:-1]  # a separator ends the line
         if len(cells) != width or not any(cells):
             continue
-        if ":" in text and not any(title_of(cell).unit for cell in cells):
+        if ":" in text and not any(column_title(cell).unit for cell in cells):
             continue  # 'Station: nowhere'
         if not cells[0] and [*cells[1:]] == [str(i) for i in range(width - 1)]:
             return [""] * width  # how pandas numbers columns without titles
         if any(NUMBER.fullmatch(cell) for cell in cells):
             continue
-        titles = [title_of(cell) for cell in cells]
+        titles = [column_title(cell) for cell in cells]
         known = any(t.kind or t.component or (t.unit and quantity_of(t.unit)) for t in titles)
         units = _are_units(cells)
         if known or units or (marked and width > 1) or (width == 1 and titles[0].unit):

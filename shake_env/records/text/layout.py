@@ -87,7 +87,7 @@ class Layout:
 
 
 def parsed(block: bytes) -> FloatArray | None:
-    """Return the numbers in a block of text, or None where something is not a number."""
+    """Return the numbers in a block of a record's text, or None where something is not a number."""
     if not block.strip():  # which fromstring would read as -1
         return np.empty(0)
     with warnings.catch_warnings():

@@ -32,7 +32,7 @@ _INDEXED = 64  # lines: one of so many has its position stored
 
 
 def number(text: str) -> float | None:
-    """Return the finite number that `text` is, or None."""
+    """Return the finite number that a record's `text` is, or None."""
     plain = text.strip()
     if not NUMBER.fullmatch(plain):
         return None

@@ -9,7 +9,7 @@ from shake_env.errors import RecordError
 from shake_env.model.parameters import FloatArray
 from shake_env.records.record import Record
 from shake_env.records.text.times import is_count, is_even, is_rising, step_of
-from shake_env.records.text.titles import Title, title_of
+from shake_env.records.text.titles import Title
 from shake_env.records.units import Unit, quantity_of, settle_interval, settle_unit
 
 _TO_SECONDS = {
@@ -196,9 +196,3 @@ class Table:
         if units is not None and self._counted(index, units):
             return units
         return settle_unit(place, text, units)
-
-
-def table_titles(cells: list[str], units: list[str] | None = None) -> list[Title]:
-    """Return the titles in a row of cells, with the row of units below it where there is one."""
-    texts = units or [""] * len(cells)
-    return [title_of(cell, unit) for cell, unit in zip(cells, texts, strict=True)]

@@ -39,7 +39,7 @@ def is_rising(values: FloatArray) -> bool:
 
 
 def step_of(values: FloatArray, place: Place, given: float | None) -> float:
-    """Return the step of evenly spaced times, in the unit of `values`.
+    """Return the step of a record's evenly spaced times, in the unit of `values`.
 
     Parameters
     ----------

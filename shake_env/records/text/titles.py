@@ -46,8 +46,8 @@ class Title:
     contradicts: bool = False  # whether its words and its unit name different quantities
 
 
-def title_of(text: str, unit: str | None = None) -> Title:
-    """Return what a title says.
+def column_title(text: str, unit: str | None = None) -> Title:
+    """Return what the title of a record's column says: quantity and unit.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ _NEARER = 0.7  # neighbours along a line differ by less than this part of those 
 
 
 def is_series(rows: FloatArray, *, counted: bool) -> bool:
-    """Return whether the numbers of `rows` (rows, width) run on from each line to the next.
+    """Return whether a record's `rows` (rows, width) of numbers run on from each line to the next.
 
     In a series that is wrapped, neighbours along a line differ by the change over one step, wherever in
     the line they stand and also across the end of a line; neighbours down a column differ by the change

@@ -13,9 +13,9 @@ from agents.evaluation.comparison import compare
 from agents.evaluation.protocol import Entry, evaluate, find_entry, policy_files
 from agents.evaluation.result_files import read_results, write_result
 from agents.evaluation.scores import below_bound, cost_figures
-from agents.policies.policy_file import digest, load_policy
+from agents.policies.policy_file import file_digest, load_policy
 from agents.policies.registry import shipped_policy
-from agents.reporting.evaluation_tables import markdown, put_tables
+from agents.reporting.evaluation_tables import evaluation_markdown, put_tables
 from agents.seeds import (
     COMPARISON_SEED,
     EVALUATION_SEED,
@@ -82,7 +82,7 @@ def test_a_linear_table_has_the_bound_and_the_causal_optimum(scenario, result):
     mine = by_name["mine"]["reference_cost"]
     assert mine["low"] < mine["value"] < mine["high"]
     assert 1.0 < mine["value"] < 1.1
-    text = markdown(result)
+    text = evaluation_markdown(result)
     assert "cost / bound" in text and "cost / lqr" in text and "J* = " in text
     assert "No controller costs less than the bound" in text
 
@@ -92,7 +92,7 @@ def test_a_result_says_what_it_was_made_of(result, two_seeds):
     assert result["earthquakes"][0] == f"noise {TEST_SEED}"
     by_name = {row["controller"]: row for row in result["rows"]}
     sources = by_name["mine"]["sources"]
-    assert [s["sha256"] for s in sources] == [digest(f) for f in policy_files(two_seeds)]
+    assert [s["sha256"] for s in sources] == [file_digest(f) for f in policy_files(two_seeds)]
     assert [s["algorithm"] for s in sources] == ["ppo", "apg"]
     assert by_name["lqr"]["sources"] == []
     assert 1e-6 < by_name["mine"]["decision_time"] < 1e-2
@@ -132,7 +132,9 @@ def test_an_unknown_specimen_is_measured_by_the_bound(monkeypatch):
     # The bound is of the first two alone; what is relative to it is of these.
     cost = {name: np.mean(e["cost"][0][:2]) for name, e in result["episodes"].items()}
     bound = np.mean(result["bound"]["costs"])
-    assert len(result["bound"]["costs"]) == 2 and "of the first 2 earthquakes" in markdown(result)
+    assert len(result["bound"]["costs"]) == 2 and "of the first 2 earthquakes" in evaluation_markdown(
+        result
+    )
     for name in ("lqg", "none", "oracle"):
         expected = (cost["lqg"] - cost[name]) / (cost["lqg"] - bound)
         # A file's numbers have seven digits, and none's share is hundreds of times the regret.
@@ -144,7 +146,9 @@ def test_an_unknown_specimen_is_measured_by_the_bound(monkeypatch):
     assert by_name["none"]["drift_error"] is None
     classes = {name: row["information"] for name, row in by_name.items()}
     assert classes == {"lqg": "preview", "none": "causal", "oracle": "true plant"}
-    assert "| true plant \u2020 |" in markdown(result) and "best attained" in markdown(result)
+    assert "| true plant \u2020 |" in evaluation_markdown(
+        result
+    ) and "best attained" in evaluation_markdown(result)
 
 
 def test_without_a_bound_the_reference_is_the_normaliser():
@@ -152,7 +156,7 @@ def test_without_a_bound_the_reference_is_the_normaliser():
     result = evaluate(scenario, [Entry("none")], earthquakes=2, repeats=False, resamples=20)
     assert (result["normaliser"], result["bound"]["costs"]) == ("lqr", [])
     assert "corrected equations" in result["bound"]["reason"]
-    assert "Bound: none" in markdown(result) and "cost / lqr" in markdown(result)
+    assert "Bound: none" in evaluation_markdown(result) and "cost / lqr" in evaluation_markdown(result)
 
 
 def test_a_cost_below_the_bound_is_reported_unless_the_starts_explain_it():
@@ -192,7 +196,7 @@ def test_tables_stand_between_markers_and_come_from_files(result, tmp_path):
     assert text.startswith("before\n")
     assert text.endswith("after\n")
     assert "old" not in text
-    table = [line for line in markdown(read["linear"]).splitlines() if line.startswith("|")]
+    table = [line for line in evaluation_markdown(read["linear"]).splitlines() if line.startswith("|")]
     assert all(line in text for line in table)
     assert len({line.count("|") for line in table}) == 1
     put_tables(page, read)

@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from agents.__main__ import main
-from agents.evaluation.comparison import compare, repeats
+from agents.evaluation.comparison import compare, repeated_motions
 from agents.evaluation.results import cost_text
-from agents.reporting.benchmark_tables import markdown
+from agents.reporting.benchmark_tables import benchmark_markdown
 from agents.reporting.comparison_tables import print_tables
 from shake_env import make_scenario
 from shake_env.errors import ScenarioError
@@ -58,7 +58,9 @@ def test_copies_of_a_record_are_one_and_named():
     assert "[" not in row.cost_text() and row.earthquakes == 2
     (note,) = found.warnings
     assert "of 2 recorded motions 1 are distinct (b repeats a)" in note
-    assert not repeats([*motions[:1], Earthquake("c", replace(motions[1].motion, amplitude=2.0))])
+    assert not repeated_motions(
+        [*motions[:1], Earthquake("c", replace(motions[1].motion, amplitude=2.0))]
+    )
 
 
 def test_costs_are_written_with_or_without_their_interval():
@@ -148,29 +150,31 @@ def test_committed_results_are_still_tables():
     """Results of before there were controllers and values in them can be read and shown."""
     from pathlib import Path
 
-    from agents.evaluation.benchmark import CONTROLLERS, difference, read_results
+    from agents.evaluation.benchmark import CONTROLLERS, difference_of_result, read_results
 
     results = read_results(Path(__file__).parents[3] / "docs" / "results")
     assert len(results) == 5
     for result in results:
-        assert "| controller |" in markdown(result)
+        assert "| controller |" in benchmark_markdown(result)
         number = result["rows"][0]["earthquakes"]
-        assert difference(result, result["scenario"], number, CONTROLLERS, None) == ""
-    assert "is of linear" in difference(results[0], "yielding", 200, CONTROLLERS, None)
-    said = difference(results[0], "linear", 7, CONTROLLERS, None)
+        assert difference_of_result(result, result["scenario"], number, CONTROLLERS, None) == ""
+    assert "is of linear" in difference_of_result(results[0], "yielding", 200, CONTROLLERS, None)
+    said = difference_of_result(results[0], "linear", 7, CONTROLLERS, None)
     assert re.findall(r"\b\d+\b", said) == [str(results[0]["rows"][0]["earthquakes"]), "7"]
 
 
 def test_a_result_of_a_scenario_file_is_of_its_content(tmp_path):
-    from agents.evaluation.benchmark import difference, result_file, run_benchmark
+    from agents.evaluation.benchmark import difference_of_result, result_file, run_benchmark
 
     file = tmp_path / "mine.toml"
     file.write_text('schema = 1\n[motion]\nduration = "0.5 s"\n')
     result = run_benchmark(str(file), 2, ["none"])
     assert result["scenario"] == "mine" and result_file("out", str(file)).name == "bench_mine.json"
-    assert difference(result, str(file), 2, ["none"], None) == ""
+    assert difference_of_result(result, str(file), 2, ["none"], None) == ""
     file.write_text('schema = 1\ndelay = 1\n[motion]\nduration = "0.5 s"\n')
-    assert "another scenario that is called mine" in difference(result, str(file), 2, ["none"], None)
+    assert "another scenario that is called mine" in difference_of_result(
+        result, str(file), 2, ["none"], None
+    )
 
 
 def test_the_table_says_where_values_come_from(capsys):

@@ -17,7 +17,7 @@ from agents.execution.executor import ATTEMPTS
 from agents.execution.local_executor import LocalExecutor
 from agents.execution.options import ExecutionOptions
 from agents.execution.units import Unit, UnitRunner, plain_identity
-from agents.execution.worker import Call, Conditions, pack, perform
+from agents.execution.worker import Call, Conditions, pack_calls, perform_calls
 from shake_env import SCENARIO_NAMES, make_scenario
 from shake_env.errors import FileError, ParameterError
 
@@ -138,7 +138,7 @@ def test_a_unit_that_fails_ends_the_command_and_what_is_done_stays(tmp_path):
 
 def test_a_worker_of_another_version_is_named():
     other = {**environment(), "numpy": "0.1", "code": "0" * 16}
-    (outcome,) = perform(pack([Call("x", says, ("x",))], Conditions(other, ".")))
+    (outcome,) = perform_calls(pack_calls([Call("x", says, ("x",))], Conditions(other, ".")))
     assert "where 0.1 is needed" in str(outcome.error) and "code" in str(outcome.error)
     assert "constraints.txt" in str(outcome.error)
 
@@ -148,11 +148,11 @@ def test_a_folder_that_a_worker_does_not_share_is_named(tmp_path):
     assert folder_token(tmp_path) == token
     conditions = Conditions(environment(), ".")
     good = Call("x", says, ("x",), folder=(tmp_path, token), needs_folder=True)
-    assert perform(pack([good], conditions))[0].error is None
+    assert perform_calls(pack_calls([good], conditions))[0].error is None
     (tmp_path / "elsewhere").mkdir()
     for folder in (tmp_path / "elsewhere", tmp_path / "nowhere"):
         call = Call("x", says, ("x",), folder=(folder, token), needs_folder=True)
-        assert "all machines share" in str(perform(pack([call], conditions))[0].error)
+        assert "all machines share" in str(perform_calls(pack_calls([call], conditions))[0].error)
 
 
 @pytest.mark.parametrize(

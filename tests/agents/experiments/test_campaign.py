@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from functools import partial
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -20,12 +21,11 @@ from agents.experiments.runner import Campaign, plan, plan_rows
 from agents.policies.base_law import base_law
 from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.policy_file import load_policy
-from agents.run_directory import locked
+from agents.run_directory import locked_folder
 from agents.scenario_options import ScenarioOptions
 from agents.training.algorithm_options import PPOOptions
 from agents.training.checkpoint import checkpoints
 from agents.training.config import TrainConfig
-from agents.training.model_factory import ALGORITHMS
 from agents.training.run import resume, train, train_or_resume
 from shake_env.errors import ParameterError, RunDirectoryError, ScenarioError
 
@@ -213,12 +213,12 @@ def test_a_worker_whose_campaign_was_killed_ends(tmp_path):
     # The pipes that it inherited close when it ends: subprocess.run returned, so that it has ended.
     assert ended.returncode == -signal.SIGKILL, ended.stderr
     run = tmp_path / "runs/linear/ppo/0"
-    with locked(run, wait=10.0):  # which the worker held
+    with locked_folder(run, wait=10.0):  # which the worker held
         assert checkpoints(run)
 
 
 # What learns on the linear table, whose best controller needs no distillation.
-FROM_NOTHING = set(ALGORITHMS) - {"dagger"}
+FROM_NOTHING = set(get_args(get_type_hints(TrainConfig)["algorithm"])) - {"dagger"}
 
 
 def test_recipes_are_sound():

@@ -10,10 +10,11 @@ import optuna
 import pytest
 
 from agents.__main__ import main
-from agents.experiments.controller_tuning import FAILED, keep, search, tune
+from agents.experiments.controller_tuning import FAILED, keep_tuned_values, search, tune
 from agents.experiments.study_storage import storage_errors
 from baselines import registry
-from baselines.catalogue import BASELINES, Baseline, Tunable
+from baselines.baseline import Baseline, Tunable
+from baselines.catalogue import BASELINES
 from baselines.lqr.sampled import LinearFeedback, sampled_lqr
 from baselines.registry import make_baseline
 from baselines.tuned_values import read_tuned
@@ -130,7 +131,7 @@ def test_a_search_that_was_cut_in_its_first_trial_keeps_the_defaults_cost(tmp_pa
 def test_kept_results_are_what_the_registry_takes(bench, tmp_path, monkeypatch):
     file = tmp_path / "tuned.json"
     found = tune("scaled", SHORT, tmp_path / "t.db", budget=3 * 800, earthquakes=8)
-    keep(found, file)
+    keep_tuned_values(found, file)
     monkeypatch.setattr(registry, "packaged_values", lambda: read_tuned(file))
     row = make_baseline("scaled", SHORT)._row
     expected = scaled_lqr(SHORT, **found.parameters)._row

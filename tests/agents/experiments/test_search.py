@@ -1,19 +1,16 @@
-"""The search of an experiment: valid values, the same trials however often it is cut, its trace."""
+"""The search of an experiment: the same trials however often it is cut, its trace."""
 
 import json
 import math
 import os
 from dataclasses import replace
 
-import optuna
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 from agents.__main__ import main
 from agents.experiments import catalogue
-from agents.experiments.catalogue import EXPERIMENTS, ExperimentConfig
+from agents.experiments.catalogue import ExperimentConfig
 from agents.experiments.search import Search, find_experiment, open_study, search_training, trace_of
 from agents.experiments.search_figure import search_figure
 from agents.experiments.search_objective import (
@@ -22,21 +19,24 @@ from agents.experiments.search_objective import (
     PruningCallback,
     ValidationSet,
 )
-from agents.experiments.search_space import Choice, Range, own_values, space, suitable_laws, trial_config
+from agents.experiments.search_space import (
+    own_values,
+    search_space,
+    trial_config,
+)
 from agents.experiments.search_trace import (
     Trace,
     TrialRow,
-    markdown,
     put_searches,
     read_trace,
+    search_markdown,
     write_trace,
 )
 from agents.progress import Progress
-from agents.run_directory import locked
+from agents.run_directory import locked_folder
 from agents.scenario_options import ScenarioOptions
-from agents.seeds import EVALUATION_SEED, TEST_SEED
 from agents.training.algorithm_options import PPOOptions, SACOptions
-from agents.training.config import TrainConfig, config_of
+from agents.training.config import TrainConfig
 from baselines.lqr.sampled import lqr
 from shake_env.errors import ParameterError, RunDirectoryError, ScenarioError
 
@@ -64,77 +64,6 @@ def _short_validation_without_figures():
         patch.setattr("agents.experiments.search_objective.EVALUATION_TASKS", (task,))
         patch.setattr("agents.training.watch.example_figure", lambda trajectory, title: Figure())
         yield
-
-
-# The space
-
-
-@pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda experiment: experiment.name)
-def test_whatever_is_drawn_is_a_valid_run_and_the_recipe_is_among_it(experiment):
-    knobs, own = space(experiment), own_values(experiment)
-    start = trial_config(experiment, {knob.name: own[knob.name] for knob in knobs}, 1.0)
-    assert start.chosen == experiment.config.chosen
-    assert (start.steps, start.lookahead) == (experiment.config.steps, experiment.config.lookahead)
-    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=1))
-    drawn = set()
-    for _ in range(25):
-        trial = study.ask()
-        values = {knob.name: knob.suggest(trial) for knob in knobs}
-        config = trial_config(experiment, values, 0.3)  # its own checks are TrainConfig's
-        assert config_of(json.loads(json.dumps(config.to_json()))) == config
-        assert config.steps == math.ceil(0.3 * experiment.config.steps)
-        assert config.scenario == experiment.config.scenario
-        drawn.add(json.dumps(config.to_json()))
-    assert len(drawn) == 25
-    for knob in knobs:
-        if isinstance(knob, Range):
-            assert knob.low <= own[knob.name] <= knob.high
-        else:
-            assert own[knob.name] in knob.values and len(knob.values) > 1
-
-
-@settings(max_examples=60, deadline=None)
-@given(tables=st.integers(1, 300), length=st.integers(1, 300), data=st.data())
-def test_a_batch_divides_every_roll_out(tables, length, data):
-    samples = tables * length
-    parts = data.draw(st.sampled_from([n for n in range(1, 17) if samples % n == 0]))
-    options = PPOOptions(n_envs=tables, n_steps=length, batch_size=samples // parts)
-    experiment = ExperimentConfig(evaluation_task="linear", config=TrainConfig(ppo=options), minutes=1.0)
-    knobs = {knob.name: knob for knob in space(experiment)}
-    for steps in knobs["n_steps"].values:
-        for pieces in knobs["minibatches"].values:
-            config = trial_config(experiment, {"n_steps": steps, "minibatches": pieces}, 1.0)
-            assert config.ppo.batch_size * pieces == tables * steps
-    own = own_values(experiment)
-    assert trial_config(experiment, {n: own[n] for n in knobs}, 1.0).ppo == options
-
-
-def test_a_search_keeps_what_a_recipe_claims():
-    assert suitable_laws(find_experiment("linear/ppo")) == ("none",)  # from nothing
-    assert suitable_laws(find_experiment("linear/sac")) == ("flow",)  # LQR is the optimum there
-    assert "lqr" in suitable_laws(find_experiment("yielding/sac"))
-    laws = suitable_laws(find_experiment("laboratory/apg"))
-    assert "lqg-dac" in laws and not {"none", "flow", "lqr", "preview-lqr"} & set(laws)
-    assert "gru_hidden_size" in own_values(find_experiment("unknown-specimen/apg"))
-    assert "gru_hidden_size" not in own_values(find_experiment("linear/apg"))
-
-
-def test_ranges_widen_to_what_a_recipe_has():
-    wide = replace(TINY, config=replace(SMALL, discount_horizon=30.0))
-    knob = next(knob for knob in space(wide) if knob.name == "discount_horizon")
-    assert knob.high == 30.0 and knob.low == 0.05
-    with pytest.raises(ParameterError, match="low must lie below high"):
-        Range(name="x", meaning="x [-]", low=0.0, high=1.0)
-    assert Choice(name="x", meaning="x", values=(8, 32)).holding(16).values == (8, 16, 32)
-
-
-def test_its_earthquakes_are_nobody_elses():
-    config = trial_config(TINY, {}, 0.5)
-    first = config.seed * 100_000
-    assert first + 10_000 < EVALUATION_SEED  # lanes begin at consecutive seeds
-    seeds = [quake.seed for quake in ValidationSet(TINY, 3).earthquakes]
-    assert seeds == [3_000_000, 3_000_001, 3_000_002]
-    assert EVALUATION_SEED < 2_000_000 < seeds[0] < seeds[-1] < TEST_SEED
 
 
 # The search
@@ -208,7 +137,7 @@ def led(tmp_path):
     """A study, in Optuna's own storage, of five trials that reached a thousandth of the cost."""
     search = replace(SEARCH, share=1.0)
     study = open_study(search, tmp_path / "r.db")
-    knobs, own = space(TINY), own_values(TINY)
+    knobs, own = search_space(TINY), own_values(TINY)
     for _ in range(6):
         study.enqueue_trial({knob.name: own[knob.name] for knob in knobs})
     for _ in range(5):
@@ -271,7 +200,7 @@ def test_a_storage_with_another_recipe_and_a_foreign_run_are_left_alone(tmp_path
 
 def test_two_processes_do_not_run_one_search(tmp_path):
     with (
-        locked(tmp_path / SEARCH.name),
+        locked_folder(tmp_path / SEARCH.name),
         pytest.raises(RunDirectoryError, match=f"in use by process {os.getpid()}"),
     ):
         search_training(SEARCH, tmp_path / "r.db", tmp_path, trials=1)
@@ -304,7 +233,7 @@ def test_a_share_that_ends_within_the_warm_up_is_named():
 
 def made(**changed):
     """A trace with a trial of each kind."""
-    knobs = space(find_experiment("yielding/sac"))
+    knobs = search_space(find_experiment("yielding/sac"))
     own = {k.name: own_values(find_experiment("yielding/sac"))[k.name] for k in knobs}
     held = {"low": 0.9, "high": 1.1, "lost": 0, "ratio": 1.0, "seconds": 3_600.0, "code": "abc"}
     rows = [
@@ -364,7 +293,7 @@ def test_a_page_gets_its_searches_between_the_markers(tmp_path):
     assert "| cost [95 %] | | 1 [0.9, 1.1] | 0.8 [0.9, 1.1] | to 0.8 |" in first
     assert "3 complete, 1 failed, 1 pruned" in first and "3.0 hours" in first
     assert "figures/training_search_yielding_sac.png" in first
-    assert "No trial came to be judged" in markdown(made(trials=made().trials[1:2]), "figures")
+    assert "No trial came to be judged" in search_markdown(made(trials=made().trials[1:2]), "figures")
     put_searches(page, [])
     assert page.read_text() == (
         "before\n<!-- training searches -->\n<!-- end training searches -->\nafter\n"

@@ -13,14 +13,14 @@ from pathlib import Path
 
 import pytest
 
-from agents.experiments.study_storage import is_shared, open_study, shown
+from agents.experiments.study_storage import is_shared, open_study, without_password
 from shake_env.errors import ParameterError
 
 WORK = """
 import sys, time
 from agents.experiments import study_storage
 from agents.experiments.controller_tuning import search
-from baselines.catalogue import Tunable
+from baselines.baseline import Tunable
 
 study_storage.HEARTBEAT, study_storage.GRACE = 1, 4
 storage, total, seconds, note = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), sys.argv[4]
@@ -143,8 +143,8 @@ def test_a_killed_processs_trial_is_tried_again(postgresql, tmp_path):
 def test_storages_are_told_apart_and_keep_their_password():
     assert is_shared("postgresql://h/d") and is_shared("journal:x.log") and is_shared("grpc://h:1")
     assert not is_shared(Path("runs/tune.db")) and not is_shared("C:/tune.db")
-    assert "secret" not in shown("mysql+pymysql://me:secret@host/name")
-    assert shown("journal:x.log") == "journal:x.log"
+    assert "secret" not in without_password("mysql+pymysql://me:secret@host/name")
+    assert without_password("journal:x.log") == "journal:x.log"
 
 
 @pytest.mark.parametrize(

@@ -58,9 +58,9 @@ def test_a_set_is_compared_and_evaluated_by_event(folder, capsys):
     for i, event in enumerate("AB"):
         ratio = cost["none"][i] / cost["lqr"][i]
         assert compared["by_event"][event]["none"] == pytest.approx(ratio, rel=1e-5)
-    from agents.reporting.evaluation_tables import markdown
+    from agents.reporting.evaluation_tables import evaluation_markdown
 
-    assert "| cost / bound by event | A (1) | B (1) |" in markdown(result)
+    assert "| cost / bound by event | A (1) | B (1) |" in evaluation_markdown(result)
 
 
 @pytest.mark.parametrize(

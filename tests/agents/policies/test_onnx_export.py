@@ -9,7 +9,7 @@ import pytest
 from agents.__main__ import main
 from agents.policies.onnx_export import export_onnx
 from agents.policies.policy_file import PolicyFile, load_policy
-from agents.policies.recurrent_cells import GatedUnit, LongShortTermUnit, rest
+from agents.policies.recurrent_cells import GatedUnit, LongShortTermUnit, initial_state
 from agents.policies.registry import shipped_policy
 
 onnxruntime = pytest.importorskip("onnxruntime")
@@ -56,7 +56,7 @@ def test_the_graph_gives_the_numpy_policys_action(memory, direct, activation, ou
     policy = made(memory, direct, activation, output)
     runtime = session(export_onnx(policy, tmp_path / "policy.onnx"))
     rng = np.random.default_rng(1)
-    state = () if memory is None else rest(policy.memory, (7,))
+    state = () if memory is None else initial_state(policy.memory, (7,))
     kept, spread = None, 0.0
     for _ in range(20):
         observation = rng.normal(size=(7, 5)).astype(np.float32)

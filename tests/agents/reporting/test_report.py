@@ -20,15 +20,15 @@ from agents.reporting.comparison_tables import print_tables
 from agents.reporting.report.acceptance import acceptance_section
 from agents.reporting.report.contents import (
     HistoryCollector,
-    channels,
     make_report,
     policy_files_of,
+    report_channels,
     unique_labels,
 )
 from agents.reporting.report.data import page_data
 from agents.reporting.report.estimates import Drawn, TransferEstimate, lqr_frontier
-from agents.reporting.report.page import page, unbroken, write_report
-from agents.reporting.report.traces import BUDGET, LEVELS, Curves, pack, pack_all, unpack
+from agents.reporting.report.page import report_page, unbroken_percentages, write_report
+from agents.reporting.report.traces import BUDGET, LEVELS, Curves, pack_all, pack_curves, unpack_curves
 from agents.reporting.terminal import OutputConsole
 from agents.run_directory import learning_curve
 from baselines.lqr.sampled import lqr
@@ -101,7 +101,7 @@ def test_a_report_holds_each_controller_against_the_required_spectrum(tmp_path):
     assert rows["LQR"].passed == sum(each.passed for each in alone)
     lowest = min(float((each.trs / each.rrs).min()) for each in alone)
     np.testing.assert_allclose(rows["LQR"].lowest, lowest, rtol=1e-12)
-    text = page(report, [])
+    text = report_page(report, [])
     Checked(text)
     assert "Required response spectrum" in text and section.required.name in text
     below = AcceptanceOptions(spectrum="ac156", s_ds=5.0)  # far above the motion
@@ -184,7 +184,7 @@ def curves(samples=500, rate=200.0, seed=0):
 
 def test_packed_curves_come_back_within_a_level():
     given = curves()
-    back = unpack(json.loads(json.dumps(pack(given))))
+    back = unpack_curves(json.loads(json.dumps(pack_curves(given))))
     assert back.rate == given.rate
     for name, curve in given.values.items():
         peak = np.max(np.abs(curve))
@@ -193,7 +193,7 @@ def test_packed_curves_come_back_within_a_level():
 
 @pytest.mark.parametrize("curve", [[], [0.0, 0.0], [5.0, -5.0, 5.0], [np.nan, 1.0]])
 def test_any_curve_can_be_packed(curve):
-    back = unpack(pack(Curves(100.0, {"a": np.array(curve, dtype=np.float32)})))
+    back = unpack_curves(pack_curves(Curves(100.0, {"a": np.array(curve, dtype=np.float32)})))
     np.testing.assert_allclose(back.values["a"], np.nan_to_num(curve), atol=0.01)
 
 
@@ -220,11 +220,11 @@ def test_curves_without_noise_are_thinned_too():
 def test_every_named_scenario_has_a_page(name):
     scenario = make_scenario(name, {} if name == "records" else {"duration": 5.0})
     report = reported(scenario, noise=2, records=False)
-    text = page(report, [])
+    text = report_page(report, [])
     found = Checked(text)
     assert len(found.ids) == len(set(found.ids))
     for sentence in report.verdict.sentences:
-        assert unbroken(sentence) in text
+        assert unbroken_percentages(sentence) in text
     plots = {each["id"] for each in found.all("div") if each.get("class") == "plot"}
     assert {"traces", "trade-off", "spectrum", "transfer-shear"} <= plots
     assert ("hysteresis" in plots) == scenario.nonlinearity.yielding.active
@@ -250,7 +250,7 @@ def test_every_figure_lies_beside_the_page(tmp_path):
 
 
 def test_the_page_loads_nothing(linear):
-    text = page(linear, ["traces"])
+    text = report_page(linear, ["traces"])
     found = Checked(text)
     for _, attributes in found.elements:
         for key in ("src", "href", "srcset", "data", "action"):
@@ -260,20 +260,20 @@ def test_the_page_loads_nothing(linear):
 
 
 def test_a_full_page_stays_below_5_mb(linear):
-    text = page(linear, [])
+    text = report_page(linear, [])
     curves = [packed for quake in page_data(linear)["earthquakes"] for packed in quake["runs"]]
     curves += [quake["target"] for quake in page_data(linear)["earthquakes"]]
     assert len(text) - sum(len(packed["blob"]) for packed in curves) + BUDGET < 4_995_000
 
 
 def test_the_page_holds_the_plotting_library_of_the_installed_package(linear):
-    packed = re.search(r'id="plotly-script">(.*?)</script>', page(linear, []), re.DOTALL)[1]
+    packed = re.search(r'id="plotly-script">(.*?)</script>', report_page(linear, []), re.DOTALL)[1]
     source = zlib.decompress(base64.b64decode(packed)).decode("utf-8")
     assert source == get_plotlyjs() and "MIT" in source[:400]  # its licence's notice stays with it
 
 
 def test_the_page_is_accessible_by_structure(linear):
-    found = Checked(page(linear, []))
+    found = Checked(report_page(linear, []))
     assert found.all("html") == [{"lang": "en"}]
     assert len(found.all("h1")) == 1
     assert len(found.all("caption")) == len(found.all("table")) >= 1
@@ -286,14 +286,14 @@ def test_the_page_is_accessible_by_structure(linear):
 
 def test_the_page_holds_the_numbers(linear):
     data = page_data(linear)
-    text = page(linear, [])
+    text = report_page(linear, [])
     inside = re.search(r'id="report-data">(.*?)</script>', text, re.DOTALL)
     assert json.loads(inside[1]) == json.loads(json.dumps(data))
     assert [c["label"] for c in data["controllers"]] == ["LQR", "none"]
     rows = linear.comparison.episodes["lqr"]
     for quake, row in zip(data["earthquakes"], rows, strict=True):
         assert quake["errors"][0][0] == pytest.approx(100 * row.acceleration_rms_error, rel=1e-3)
-        back = unpack(quake["runs"][0])
+        back = unpack_curves(quake["runs"][0])
         assert len(back.values["stroke"]) == 1200
         assert np.max(np.abs(back.values["current"])) == pytest.approx(1e3 * row.peak_current, rel=1e-2)
 
@@ -301,7 +301,7 @@ def test_the_page_holds_the_numbers(linear):
 @pytest.mark.parametrize("hostile", ['</script><img src=x onerror="alert(1)">', "<!--<script>"])
 def test_names_cannot_break_out_of_the_page(linear, hostile):
     labels = {name: hostile + name for name in linear.labels}
-    text = page(replace(linear, labels=labels), [])
+    text = report_page(replace(linear, labels=labels), [])
     found = Checked(text)
     assert not found.all("img")
     # "<!--<script>" inside a script element hides the end tag that follows: no "<" may be in the data.
@@ -314,7 +314,7 @@ def test_a_table_driven_in_volts_is_told_in_volts(capsys):
     scenario = make_scenario("laboratory", {"table": "quanser-shake-table-ii", "duration": 1.0})
     report = reported(scenario, noise=2, records=False)
     (row,) = [s for s in report.comparison.summaries if s.controller == "lqg"]
-    text = page(report, [])
+    text = report_page(report, [])
     assert "input [V]" in text and "mA" not in re.sub(r"<script.*?</script>", "", text, flags=re.S)
     assert f"<td>{row.peak_current:.2f}</td>" in text
     panel = next(c for c in report.channels if c.key == "current")
@@ -327,12 +327,12 @@ def test_a_table_driven_in_volts_is_told_in_volts(capsys):
 
 
 def test_limits_stand_with_their_panels():
-    by_key = {channel.key: channel for channel in channels(make_scenario("laboratory"))}
+    by_key = {channel.key: channel for channel in report_channels(make_scenario("laboratory"))}
     assert by_key["stroke"].limit == pytest.approx(76.0)
     assert by_key["current"].limit == pytest.approx(40.0)
     assert by_key["pressure"].limit == pytest.approx(21.0)
     assert by_key["shear"].limit is None
-    assert {c.key: c.limit for c in channels(make_scenario("linear"))}["stroke"] is None
+    assert {c.key: c.limit for c in report_channels(make_scenario("linear"))}["stroke"] is None
 
 
 def test_labels_are_short_and_differ():

@@ -18,7 +18,7 @@ from agents.studies.reproduction.tables import (
     prescribed_table,
     shear_ratio,
     table_plant,
-    unaware,
+    unaware_design,
 )
 from shake_env.model.parameters import Actuator, ModelEquations, Specimen
 
@@ -102,12 +102,12 @@ def _digits(rows):
 
 @pytest.mark.parametrize("stories", [2, 10])
 def test_design_that_does_not_know_the_specimen(stories):
-    assert _digits(unaware(stories, (0.1, 0.2, 0.5, 1.0, 2.0), 1e-3)) == UNAWARE[stories]
+    assert _digits(unaware_design(stories, (0.1, 0.2, 0.5, 1.0, 2.0), 1e-3)) == UNAWARE[stories]
 
 
 @pytest.mark.parametrize(("stories", "shear"), [(2, 0.073), (10, 0.033)])
 def test_design_that_knows_the_specimen_does_not_mind_its_mass(stories, shear):
-    for row in unaware(stories, (0.1, 0.2, 0.5, 1.0, 2.0), None):
+    for row in unaware_design(stories, (0.1, 0.2, 0.5, 1.0, 2.0), None):
         assert row["acceleration_error"] == pytest.approx(0.44, abs=0.005)
         assert row["base_shear_error"] == pytest.approx(shear, abs=0.0005)
 

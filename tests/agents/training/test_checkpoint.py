@@ -18,7 +18,7 @@ from agents.evaluation.protocol import find_entry
 from agents.experiments.catalogue import ExperimentConfig
 from agents.experiments.runner import Task
 from agents.policies.registry import get_controller
-from agents.run_directory import append_row, evaluations, locked
+from agents.run_directory import append_row, evaluations_of_run, locked_folder
 from agents.scenario_options import ScenarioOptions
 from agents.training.algorithm_options import PPOOptions
 from agents.training.checkpoint import checkpoints, load_checkpoint
@@ -218,7 +218,7 @@ def test_a_run_that_was_killed_as_it_began_begins_or_goes_on(trained, tmp_path):
         shutil.copy(tmp_path / "a" / "config.json", run)
         append_row(run / "evaluations.jsonl", {"steps": 64, "cost_ratio": 1e-9})  # and no checkpoint
         again(run)
-        assert evaluations(run) == evaluations(tmp_path / "a") and finished(run)
+        assert evaluations_of_run(run) == evaluations_of_run(tmp_path / "a") and finished(run)
         shutil.rmtree(run)
     (tmp_path / "c").mkdir()
     words = [
@@ -255,12 +255,12 @@ def test_a_result_counts_only_when_it_is_complete(trained, tmp_path):
 
 
 def test_a_second_process_is_refused(cut):
-    before = evaluations(cut)
-    with locked(cut):
+    before = evaluations_of_run(cut)
+    with locked_folder(cut):
         for again in (lambda: resume(cut), lambda: train_or_resume(CONFIG, cut)):
             with pytest.raises(RunDirectoryError, match="in use by process"):
                 again()
-    assert evaluations(cut) == before
+    assert evaluations_of_run(cut) == before
 
 
 def test_half_an_evaluation_changes_no_result(cut, trained):
@@ -270,7 +270,7 @@ def test_half_an_evaluation_changes_no_result(cut, trained):
     results = [json.loads((run / "result.json").read_text()) for run in (cut, trained / "whole")]
     assert results[0]["cost"] == results[1]["cost"]
     assert results[0]["best_steps"] == results[1]["best_steps"]
-    assert dict(evaluations(cut)) == dict(evaluations(trained / "whole"))
+    assert dict(evaluations_of_run(cut)) == dict(evaluations_of_run(trained / "whole"))
 
 
 def test_options_that_differ_from_the_runs_own_are_refused_by_name(cut, capsys):

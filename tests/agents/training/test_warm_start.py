@@ -7,7 +7,7 @@ import pytest
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
-from agents.policies.policy_file import digest, load_policy
+from agents.policies.policy_file import file_digest, load_policy
 from agents.policies.symmetry import mirror_averaged
 from agents.run_directory import FIRST, learning_curve
 from agents.scenario_options import ScenarioOptions
@@ -119,8 +119,8 @@ def test_a_run_begins_where_its_policy_stands_and_says_so(tmp_path):
     begun = dict(learning_curve(str(tmp_path / "second")))[0]
     assert begun == pytest.approx(first.cost_ratio, rel=1e-6)
     card = load_policy(tmp_path / "second" / "policy.safetensors").card
-    assert card["first"]["sha256"] == digest(tmp_path / "first" / "policy.safetensors")
-    assert digest(tmp_path / "second" / FIRST) == card["first"]["sha256"]
+    assert card["first"]["sha256"] == file_digest(tmp_path / "first" / "policy.safetensors")
+    assert file_digest(tmp_path / "second" / FIRST) == card["first"]["sha256"]
 
     def kill(progress):
         if progress.steps >= 256:

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from scipy.stats import chi2
 
 from baselines.estimation.estimator_model import EstimatorModel, ModelError
-from baselines.estimation.kalman import KalmanFilter, stationary
+from baselines.estimation.kalman import KalmanFilter, stationary_filter
 from shake_env import make_scenario
 from shake_env.errors import NumericalError, ScenarioError
 from shake_env.model.plant import TABLE_DISPLACEMENT
@@ -118,7 +118,7 @@ def test_process_noise_against_fine_steps():
 def test_stationary_gain_against_python_control_and_the_recursion(name, stories):
     scenario = make_scenario(name, {"stories": stories, "sensing": "laboratory"})
     model = EstimatorModel.of(scenario, ModelError.of(scenario))
-    gain, P = stationary(model)
+    gain, P = stationary_filter(model)
     n = model.order
     predictor, P_control, _ = control.dlqe(
         model.A, np.eye(n), model.C, model.Q, np.diag(model.R), method="scipy"
@@ -220,7 +220,7 @@ def test_a_position_that_is_not_measured_is_integrated():
     sensors = tuple(s for s in Sensing.laboratory().sensors if s.signal != "table_displacement")
     scenario = replace(make_scenario("laboratory"), sensing=Sensing(sensors=sensors))
     model = EstimatorModel.of(scenario, ModelError.of(scenario))
-    gain, _ = stationary(model)
+    gain, _ = stationary_filter(model)
     assert not gain[TABLE_DISPLACEMENT].any() and gain[0].any()
     assert model.A[TABLE_DISPLACEMENT, TABLE_DISPLACEMENT] == pytest.approx(1.0, rel=1e-12)
 
@@ -228,7 +228,7 @@ def test_a_position_that_is_not_measured_is_integrated():
 def test_a_perfect_model_has_no_stationary_filter():
     scenario = make_scenario("laboratory")
     with pytest.raises(NumericalError, match="disturbance"):
-        stationary(EstimatorModel.of(scenario, ModelError(force=0.0, flow=0.0)))
+        stationary_filter(EstimatorModel.of(scenario, ModelError(force=0.0, flow=0.0)))
 
 
 def test_printed_equations_are_refused():

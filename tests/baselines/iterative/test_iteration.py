@@ -13,7 +13,7 @@ from baselines.iterative.drive_file import (
     repeat_tests,
     run_test,
 )
-from baselines.iterative.ilc import LearningLaw, missed, norm_optimal_learning
+from baselines.iterative.ilc import LearningLaw, norm_optimal_learning, tracking_error
 from baselines.iterative.transfer_function_iteration import (
     IterationPlan,
     Lines,
@@ -159,7 +159,7 @@ def test_learning_lowers_the_errors_norm_in_every_repeat(linear):
     )
     cost = linear.stage_cost
     weights = np.array([cost.acceleration, cost.force])
-    norms = [np.einsum("ntok,o->n", missed(test) ** 2, weights) for test in tests.repeats]
+    norms = [np.einsum("ntok,o->n", tracking_error(test) ** 2, weights) for test in tests.repeats]
     for before, after in pairwise(norms):
         assert np.all(after < before)
     np.testing.assert_array_equal(tests.drive, tests.controller.drive)
@@ -173,7 +173,9 @@ def test_a_wrong_model_costs_repeats_and_does_not_run_away(linear):
     steps = still.target.shape[1]
     heavy = replace(linear, specimen=Specimen.uniform(mass_ratio=0.8, storey_frequency=6.0))
     law = LearningLaw.of(PeriodModel.of(heavy, hold.gain), light.stage_cost, 0.1, steps)
-    tests = repeat_tests(light, quakes, still, lambda test: law.correction(missed(test)), 4, hold)
+    tests = repeat_tests(
+        light, quakes, still, lambda test: law.correction(tracking_error(test)), 4, hold
+    )
     costs = np.array([test.cost[0] for test in tests.repeats])
     assert np.any(np.diff(costs) > 0.0)  # or the case is too easy to tell anything
     again = run_test(light, quakes, tests.controller)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from baselines.lqr.discrete_lyapunov import discrete_lyapunov
 from baselines.lqr.preview import PreviewFeedback, infinite_preview, preview_lqr, with_preview
 from baselines.lqr.sampled import sampled_lqr
-from baselines.lqr.tracking_problem import dlyap
 from shake_env import Actuator, Sensing, make_scenario
 from shake_env.errors import NumericalError, ParameterError, ScenarioError
 from shake_env.model.plant import REFERENCE_CURRENT
@@ -190,10 +190,10 @@ def test_stein_sum_solves_its_equation_and_refuses_an_unstable_one():
     rng = np.random.default_rng(1)
     left, right = 0.35 * rng.standard_normal((2, 5, 5))
     middle = rng.standard_normal((5, 5))
-    X = dlyap(left, middle, right)
+    X = discrete_lyapunov(left, middle, right)
     assert pytest.approx(left @ X @ right + middle, abs=1e-12) == X
     with np.errstate(over="ignore", invalid="ignore"), pytest.raises(NumericalError, match="settle"):
-        dlyap(3.0 * np.eye(5), middle, 3.0 * np.eye(5))
+        discrete_lyapunov(3.0 * np.eye(5), middle, 3.0 * np.eye(5))
 
 
 def test_what_cannot_be_designed_says_why():

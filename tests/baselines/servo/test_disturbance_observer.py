@@ -8,7 +8,7 @@ import pytest
 from baselines.servo.disturbance_observer import (
     DisturbanceObserver,
     ObserverDesign,
-    mismatch,
+    model_mismatch,
     observer_corner,
 )
 from shake_env.controller import NoControl
@@ -74,7 +74,7 @@ def test_the_corner_is_the_highest_that_small_gain_allows():
     scenario = laboratory()
     corner = observer_corner(scenario, ObserverDesign())
     frequency = np.geomspace(0.05, 100.0, 20_000)
-    missed = mismatch(scenario, frequency)
+    missed = model_mismatch(scenario, frequency)
 
     def worst(at):
         return np.max(missed / (1.0 + (frequency / at) ** 2))

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from agents.studies.hostile_controllers import Hostile
-from agents.studies.sensor_faults import CASES, broken_limits, main, study, table
+from agents.studies.sensor_faults import (
+    CASES,
+    broken_limits,
+    main,
+    sensor_fault_study,
+    sensor_fault_table,
+)
 from baselines.estimation.lqg import lqg
 from shake_env import NoControl, Sensing, Supervised, Uncertainty, Uniform, make_scenario
 from shake_env.rollout import noise_earthquakes, rollout
@@ -225,7 +231,7 @@ def test_an_observer_does_without_an_accelerometer():
 
 def test_the_study_writes_what_the_docs_show(tmp_path, capsys):
     cases = [CASES["no fault"], CASES["valve gain x2.0"]]
-    result = study(cases, lanes=9, seed=1, steps=30)
+    result = sensor_fault_study(cases, lanes=9, seed=1, steps=30)
     assert list(result["cases"]) == [case.name for case in cases]
     assert result["cases"]["no fault"]["broken"] == 0
     file = tmp_path / "faults.json"
@@ -252,4 +258,4 @@ def test_the_page_shows_the_study():
     result = json.loads((root / "docs" / "results" / "fault_study.json").read_text(encoding="utf-8"))
     assert set(result["cases"]) == set(CASES)
     assert not any(row["broken"] for row in result["cases"].values() if row["required"])
-    assert table(result) in (root / "docs" / "safety.md").read_text(encoding="utf-8")
+    assert sensor_fault_table(result) in (root / "docs" / "safety.md").read_text(encoding="utf-8")

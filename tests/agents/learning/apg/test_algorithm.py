@@ -8,7 +8,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from agents.learning.apg.actor_critic import value
+from agents.learning.apg.actor_critic import state_value
 from agents.learning.apg.algorithm import AnalyticPolicyGradient
 from agents.learning.apg.torch_plant import PeriodMap, torch_model
 from agents.learning.apg.window_rollout import WindowRollout
@@ -164,7 +164,7 @@ def test_targets_of_the_critic_are_lambda_returns():
     model.env.simulation.episode_steps[:] = (20, 7)
     with torch.no_grad():
         _, window, seen = model.window_loss()
-        values = value(model.slow_policy, torch.stack(seen)).numpy()
+        values = state_value(model.slow_policy, torch.stack(seen)).numpy()
         targets = model._targets(window, torch.stack(seen)).numpy()
     rewards = window.rewards.numpy()
     for lane, end in ((0, 12), (1, 7)):

@@ -1,4 +1,4 @@
-"""Statistics of a policy over training seeds and earthquakes, with intervals.
+"""Statistics of costs over training seeds and earthquakes, with bootstrap intervals.
 
 Estimates and comparison follow Agarwal et al., Deep Reinforcement Learning at the Edge of the
 Statistical Precipice, NeurIPS 2021: interquartile mean, probability of improvement, stratified
@@ -80,12 +80,11 @@ def probability_of_improvement(scores: Scores, reference: Scores) -> float:
 def estimate(
     statistic: Statistic,
     *samples: Scores,
-    strata: Sequence[int] | None = None,
     resamples: int = RESAMPLES,
     level: float = LEVEL,
     seed: int = 0,
 ) -> Estimate:
-    """Return a statistic and its percentile interval from the two-way bootstrap.
+    """Return a statistic of scores and its percentile interval from the two-way bootstrap.
 
     Parameters
     ----------
@@ -94,8 +93,6 @@ def estimate(
     samples
         (seeds, earthquakes) each, of the same earthquakes: a draw of earthquakes is one for all of
         them, so that differences are paired. Seeds are each sample's own.
-    strata
-        (earthquakes,) group of each earthquake; a draw keeps the number of each group. None: one group.
     resamples
         Number of draws.
     level
@@ -117,12 +114,10 @@ def estimate(
     value = statistic(*samples)
     if columns < 2 and all(len(sample) < 2 for sample in samples):
         return Estimate(value, value, value)  # a single number has no spread to draw from
-    groups = np.zeros(columns, dtype=int) if strata is None else np.asarray(strata)
-    members = [np.flatnonzero(groups == group) for group in np.unique(groups)]
     rng = np.random.default_rng(seed)
     drawn = np.empty(resamples)
     for i in range(resamples):
-        quakes = np.concatenate([group[rng.integers(len(group), size=len(group))] for group in members])
+        quakes = rng.integers(columns, size=columns)
         rows = [rng.integers(len(sample), size=len(sample)) for sample in samples]
         drawn[i] = statistic(
             *(sample[row[:, None], quakes] for sample, row in zip(samples, rows, strict=True))
