@@ -105,10 +105,10 @@ class SequenceCommand(CommandOptions):
 
         sequence = read_sequence(self.folder)
         with self.execution.open_runner() as runner, progress_by_name() as on_progress:
-            sequence, found = next_shake(
+            sequence, forecasts = next_shake(
                 sequence, override=self.override, runner=runner, on_progress=on_progress
             )
-        print_table(console, headings(), [cells(each) for each in found], names=2)
+        print_table(console, headings(), [cells(each) for each in forecasts], names=2)
         where = self.folder / f"shake_{sequence.number + 1}"
         number, controller = sequence.number + 1, sequence.next.controller
         text = f"Shake {number}: use {controller}, designed on {where}/test.toml"
@@ -185,7 +185,7 @@ class SequenceCommand(CommandOptions):
         }
         file = ResultFile(self.output, "shake sequence rehearse", scenario, options)
         with self.execution.open_runner() as runner, progress_by_name() as on_progress:
-            found = rehearse(
+            rehearsals = rehearse(
                 scenario,
                 truths=self.truths,
                 runner=runner,
@@ -194,7 +194,7 @@ class SequenceCommand(CommandOptions):
                 on_progress=on_progress,
                 **options,
             )
-        result = summary(found)
+        result = summary(rehearsals)
         names = ("coverage", "error_over_informed", "error_over_nominal", "limits_broken", "overridden")
         for name in names:
             console.print(f"{name}: {result[name]}", highlight=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -89,14 +89,14 @@ def fit(
         Told the share of the rounds done, 0 to 1.
     """
     begun = time.perf_counter()
-    found = _search(likelihood, prior, _global(likelihood, prior, seed).mode)
+    fitted = _search(likelihood, prior, _global(likelihood, prior, seed).mode)
     on_progress(1.0 / ROUNDS)
     current = likelihood.with_share(0.0)
     for number in range(2, ROUNDS + 1):
         last = current
-        current = last.with_discrepancy(found.mode) if discrepancy else last
+        current = last.with_discrepancy(fitted.mode) if discrepancy else last
         if number > 2 or any(share.any() for share in current.shares):
-            found = _search(current, prior, found.mode)
+            fitted = _search(current, prior, fitted.mode)
         on_progress(number / ROUNDS)
         change = max(
             float(np.max(np.abs(new - old) / np.maximum(old, 1e-4), initial=0.0))
@@ -105,9 +105,7 @@ def fit(
         if change < SETTLED or not discrepancy:
             break
     on_progress(1.0)
-    return Fit(
-        found.likelihood, prior, found.mode, found.covariance, found.cost, time.perf_counter() - begun
-    )
+    return replace(fitted, seconds=time.perf_counter() - begun)
 
 
 def _global(likelihood: Likelihood, prior: Prior, seed: int) -> Fit:

@@ -151,15 +151,15 @@ def rehearse(
     """
     own = [own_source(name) if is_own_controller(name) else None for name in controllers]
     options = (tuple(amplitudes), tuple(controllers), samples, seed, discrepancy, wider)
-    found = list(done)
-    numbers = sorted(set(range(truths)) - {each.truth for each in found})
+    rehearsals = list(done)
+    numbers = sorted(set(range(truths)) - {each.truth for each in rehearsals})
     units = [
         Unit(f"truth {number + 1}", _one, (scenario, number, options), (scenario, number, options, own))
         for number in numbers
     ]
     shares = dict.fromkeys(numbers, 0.0)
 
-    def told(number: int, share: float) -> None:
+    def on_share_of(number: int, share: float) -> None:
         shares[number] = share
         on_progress("rehearsal", 1.0 - (len(numbers) - sum(shares.values())) / truths)
 
@@ -170,12 +170,12 @@ def rehearse(
         own_numbers = [numbers[index] for index in part]
 
         def on_share(index: int, share: float, members: list[int] = own_numbers) -> None:
-            told(members[index], share)
+            on_share_of(members[index], share)
 
         results = runner.run([units[index] for index in part], on_share)
-        found += [typed(Rehearsal, each) for each in results]
-        on_row(found)
-    return found
+        rehearsals += [typed(Rehearsal, each) for each in results]
+        on_row(rehearsals)
+    return rehearsals
 
 
 def _one(

@@ -132,7 +132,7 @@ def next_shake(
     """
     shake, number = sequence.next, sequence.number
     believed = sequence.posterior.uncertain
-    found = forecast(
+    forecasts = forecast(
         believed,
         sequence.controllers,
         amplitudes=(shake.amplitude,),
@@ -142,17 +142,17 @@ def next_shake(
         runner=runner,
         on_progress=on_progress,
     )
-    chosen = advice(found, sequence.keep)
+    chosen = advice(forecasts, sequence.keep)
     folder = sequence.shake_folder(number + 1)
     if page:
-        write_page(found, chosen, f"Shake {number + 1}, amplitude {shake.amplitude:g}", folder)
+        write_page(forecasts, chosen, f"Shake {number + 1}, amplitude {shake.amplitude:g}", folder)
     if chosen.amplitude == 0.0 and not override:
         raise ParameterError(
             f"shake {number + 1}",
             shake.amplitude,
             f"is unsafe: {chosen.reason}; --override REASON makes it",
         )
-    best = next(each for each in found if each.controller == chosen.controller)
+    best = next(each for each in forecasts if each.controller == chosen.controller)
     sequence = sequence.with_next(
         controller=chosen.controller,
         forecast=to_json(best),
@@ -160,7 +160,7 @@ def next_shake(
     )
     write_scenario(designed_on(sequence), folder / "test.toml")
     sequence.write()
-    return sequence, found
+    return sequence, forecasts
 
 
 def designed_on(sequence: Sequence) -> Scenario:
@@ -277,12 +277,12 @@ def damage_intervals(posterior: Posterior, probability: float) -> dict[str, list
 
 def figures(log: TestLog) -> dict[str, float]:
     """Return rms and peak of each measured channel, SI, as forecasts call them."""
-    found = {}
+    values_of = {}
     for name in log.measured:
         values = log.channels[name]
-        found[f"{name}_rms"] = float(np.sqrt(np.mean(values**2)))
-        found[f"{name}_peak"] = float(np.max(np.abs(values)))
-    return found
+        values_of[f"{name}_rms"] = float(np.sqrt(np.mean(values**2)))
+        values_of[f"{name}_peak"] = float(np.max(np.abs(values)))
+    return values_of
 
 
 def _possible(scenario: Scenario, prior: Prior, number: int, seed: int) -> FloatArray:
