@@ -64,7 +64,7 @@ def _(controller: NoControl, scenario: Scenario) -> Block:
 
 @block_of.register
 def _(controller: LinearFeedback, scenario: Scenario) -> Block:
-    return _linear(controller._row)
+    return _linear(controller.row)
 
 
 @block_of.register
@@ -77,20 +77,20 @@ def _(controller: IntegralFeedback, scenario: Scenario) -> Block:
     return Block(
         "integral",
         "linear feedback with integral action on the displacement",
-        arrays={"row": flat(controller._row), "error": flat(controller._error)},
-        numbers={"gain": controller._integral},
+        arrays={"row": flat(controller.row), "error": flat(controller.error_row)},
+        numbers={"gain": controller.integral_gain},
     )
 
 
 @block_of.register
 def _(controller: FeedforwardLQR, scenario: Scenario) -> Block:
-    friction, orifice = controller._friction, controller._valve is not None
-    if controller._load:
+    friction, orifice = controller.friction, controller.valve is not None
+    if controller.load:
         raise ScenarioError("orifice", "present", "only its preview is exported")
-    arrays = {"row": flat(controller._row)}
+    arrays = {"row": flat(controller.row)}
     numbers: dict[str, Any] = {
-        "friction": friction is not None, "orifice": orifice, "order": controller._order,
-        "limit": controller._limit,
+        "friction": friction is not None, "orifice": orifice, "order": controller.order,
+        "limit": controller.limit,
     }  # fmt: skip
     if friction is not None or orifice:
         preview = controller.preview
@@ -146,48 +146,48 @@ def _(controller: EstimatedState, scenario: Scenario) -> Block:
 
 def _signals(reader: SignalReader) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return arrays and numbers of the part that takes signals from an observation."""
-    numbers = {"integrates": reader.integrates, "half_period": reader._half_period}
-    return {"signals": flat(reader._rows.T)}, numbers
+    numbers = {"integrates": reader.integrates, "half_period": reader.half_period}
+    return {"signals": flat(reader.rows.T)}, numbers
 
 
 @block_of.register
 def _(controller: OutputFeedback, scenario: Scenario) -> Block:
-    arrays, numbers = _signals(controller._reader)
+    arrays, numbers = _signals(controller.reader)
     law, r = controller.law, len(controller.law.C)
     arrays["D"] = law.D
     if r:
         arrays |= {"A": law.A, "B": law.B, "C": law.C, "W": law.W}
-    numbers |= {"r": r, "limit": controller._limit}
+    numbers |= {"r": r, "limit": controller.limit}
     return Block("output_feedback", "linear feedback of measured signals", arrays, numbers=numbers)
 
 
 @block_of.register
 def _(controller: InverseFeedForward, scenario: Scenario) -> Block:
-    arrays, numbers = _signals(controller._reader)
+    arrays, numbers = _signals(controller.reader)
     law = controller.law
     arrays |= {"taps": law.taps, "feedback": law.feedback}
     numbers |= {
-        "past": controller._past, "preview": law.preview, "limit": controller._limit,
-        "samples": law.samples, "half_sample": 0.5 * controller._sample,
+        "past": controller.past, "preview": law.preview, "limit": controller.limit,
+        "samples": law.samples, "half_sample": 0.5 * controller.sample,
         "first_preview": scenario.observation.preview.start,
-        "preview_scale": controller._preview_scale, "acceleration_tap": law.acceleration_tap,
+        "preview_scale": controller.preview_scale, "acceleration_tap": law.acceleration_tap,
     }  # fmt: skip
     return Block("inverse_model", "inverse-model feed-forward", arrays, numbers=numbers)
 
 
 @block_of.register
 def _(controller: MCS, scenario: Scenario) -> Block:
-    arrays, numbers = _signals(controller._reader)
+    arrays, numbers = _signals(controller.reader)
     d = controller.design
-    arrays["D"] = controller._inner
+    arrays["D"] = controller.inner_row
     numbers |= {
         name: getattr(d, name)
         for name in ("damping_ratio", "displacement", "alpha", "beta", "leakage", "bound",
                      "error_integral", "normalised")
     }  # fmt: skip
     numbers |= {
-        "omega": controller._omega, "gain_unit": controller._unit, "limit": controller._limit,
-        "period": controller._period, "bounded": bool(np.isfinite(d.bound)),
+        "omega": controller.omega, "gain_unit": controller.gain_unit, "limit": controller.limit,
+        "period": controller.period, "bounded": bool(np.isfinite(d.bound)),
     }  # fmt: skip
     return Block(
         "mcs", "minimal control synthesis around three-variable control", arrays, numbers=numbers
@@ -196,12 +196,12 @@ def _(controller: MCS, scenario: Scenario) -> Block:
 
 @block_of.register
 def _(controller: DisturbanceObserver, scenario: Scenario) -> Block:
-    arrays, numbers = _signals(controller._reader)
+    arrays, numbers = _signals(controller.reader)
     shown = scenario.observation
-    arrays["arrivals"] = controller._arrivals
+    arrays["arrivals"] = controller.arrivals
     numbers |= {
-        "past": len(controller._arrivals), "limit": controller._limit, "lag": controller._lag,
-        "velocity_gain": controller._gain, "follow": controller._follow,
+        "past": len(controller.arrivals), "limit": controller.limit, "lag": controller.lag,
+        "velocity_gain": controller.velocity_gain, "follow": controller.follow,
         "last_action": shown.last_action.start if shown.sensing.last_action else None,
     }  # fmt: skip
     inner = block_of(controller.controller, scenario)

@@ -20,11 +20,11 @@ def wide(array):
 def widened(controller):
     """The controller in float64; a supervisor is changed in place."""
     if isinstance(controller, Supervised):
-        prediction = controller._foresight
-        controller._foresight = replace(
+        prediction = controller.prediction
+        controller.prediction = replace(
             prediction, rows=wide(prediction.rows), bound=wide(prediction.bound)
         )
-        controller._sensitivity = wide(controller._sensitivity)
+        controller.sensitivity = wide(controller.sensitivity)
         controller.controller = widened(controller.controller)
     if isinstance(controller, PolicyFile):
         memory = controller.memory

@@ -29,7 +29,7 @@ SHORT = (
 def without_observer(controller, scenario):
     """A supervisor that believes every reading, and knows of no misfit."""
     supervised = Supervised(controller, scenario)
-    observer = supervised._observer
+    observer = supervised.observer
 
     class Credulous:
         channels = observer.channels
@@ -46,7 +46,7 @@ def without_observer(controller, scenario):
             )
             return faultless, replace(memory, misfit=0.0 * memory.misfit)
 
-    supervised._observer = Credulous
+    supervised.observer = Credulous
     return supervised
 
 
