@@ -15,6 +15,7 @@ from agents.deployment.program import Block, flat
 from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.policy_file import PolicyFile
 from agents.policies.recurrent_cells import PARTS
+from baselines.estimation.adaptive import CertaintyEquivalence
 from baselines.estimation.lqg import EstimatedState, full_state
 from baselines.lqr.feedforward import NODES, WEIGHTS, FeedforwardLQR
 from baselines.lqr.integral import IntegralFeedback
@@ -141,6 +142,49 @@ def _(controller: EstimatedState, scenario: Scenario) -> Block:
         arrays={name: flat(array) for name, array in arrays.items()},
         numbers=numbers,
         inner=block_of(controller.law, inner),
+    )
+
+
+@block_of.register
+def _(controller: CertaintyEquivalence, scenario: Scenario) -> Block:
+    bank, observer = controller.bank, controller.observer
+    shown, layout = scenario.observation, scenario.plant.layout
+    scale = scenario.plant.state_scale
+    arrays = {name: getattr(bank, name) for name in ("laws", "shear")}
+    arrays["scale"] = scale[: shown.head]
+    integers: dict[str, Any] = {}
+    mean, variance = controller.prior
+    numbers: dict[str, Any] = {
+        "observed": observer is not None,
+        "F": len(bank.frequencies), "M": len(bank.mass_ratios), "n": bank.shear.shape[1],
+        "low": bank.mass_ratios[0], "high": bank.mass_ratios[-1], "entries": bank.laws.shape[-1],
+        "forget": controller.forget, "variance": controller.variance,
+        "prior_mean": mean, "prior_variance": variance, "limit": scenario.current_limit,
+        "w": layout.filter_states, "first_specimen": layout.specimen.start,
+        "first_reference": layout.reference.start, "preview": shown.preview_samples,
+        "first_preview": shown.preview.start,
+        "preview_scale": float(np.sqrt(scenario.plant.target_variance)),
+        "last_action": shown.last_action.start if shown.sensing.last_action else None,
+    }  # fmt: skip
+    if observer is None:
+        arrays["impulse"] = controller.impulse
+    else:
+        arrays |= {name: getattr(bank, name) for name in ("advance", "now", "following")}
+        arrays |= {
+            "source": controller.source, "balance": controller.balance,
+            "reading_scale": shown.reading_scale[controller.places], "table_A": observer.A,
+            "table_C": observer.C, "table_now": observer.now, "table_following": observer.following,
+            "table_gain": observer.gain, "on_last": observer.on_last,
+            "on_previous": observer.on_previous,
+        }  # fmt: skip
+        integers["places"] = [shown.readings.start + place for place in controller.places]
+        numbers |= {"lead": controller.lead, "table_mass": observer.mass}
+    return Block(
+        "adaptive",
+        "preview LQR of the specimen that is identified while the table moves",
+        {name: flat(array) for name, array in arrays.items()},
+        integers=integers,
+        numbers=numbers,
     )
 
 
