@@ -18,6 +18,7 @@ sys.path[:0] = [
 
 from generators import DOCS, ROOT, reference, results  # noqa: E402
 from generators.api import PACKAGES, api  # noqa: E402
+from generators.deployment import deployment_figures  # noqa: E402
 
 from agents.laboratory.result_files import laboratory_tables  # noqa: E402
 from agents.reporting.markdown_blocks import with_block  # noqa: E402
@@ -26,6 +27,7 @@ from shake_env.scenario.scenario_writer import SCHEMA_FILE  # noqa: E402
 
 SB3_GUIDE = DOCS / "howto" / "train_with_sb3.md"
 TRAINING = DOCS / "training.md"
+DEPLOY = DOCS / "howto" / "deploy.md"
 
 
 def pages() -> dict[Path, str]:
@@ -40,6 +42,7 @@ def pages() -> dict[Path, str]:
         ROOT / "README.md": with_block(ROOT / "README.md", "headline", results.headline()),
         SB3_GUIDE: with_block(SB3_GUIDE, "sb3 guide", results.sb3_guide()),
         TRAINING: with_block(TRAINING, "gradient noise", results.gradient_noise()),
+        DEPLOY: with_block(DEPLOY, "deployment figures", deployment_figures()),
     }
     for page, place, text in (
         (DOCS / "tables.md", "tables compared", results.compared_tables()),

@@ -31,12 +31,6 @@ from shake_env.errors import ScenarioError
 from shake_env.safety.supervisor import Supervised
 from shake_env.scenario.scenario import Scenario
 
-EXPORTABLE = (
-    "none, lqr, preview-lqr, lqr-integral, lqr-friction-ff, lqg, lqg-dac, lqg-searched, multi-model, "
-    "h-infinity, pid, tvc, tvc-dob, mcs, mcs-bounded, inverse-ff, inverse-ff-tvc, policies, and the "
-    "supervisor around each"
-)
-
 
 @singledispatch
 def block_of(controller: Any, scenario: Scenario) -> Block:
@@ -50,7 +44,7 @@ def block_of(controller: Any, scenario: Scenario) -> Block:
     raise ScenarioError(
         "controller",
         type(controller).__name__,
-        f"has no C form: it solves, plans or learns while it runs. Those that have one: {EXPORTABLE}",
+        "has no C form: it solves, plans or learns while it runs, or no block describes its class",
     )
 
 
