@@ -49,9 +49,10 @@ def accuracy(result: dict[str, Any]) -> str:
         "controller", "scenarios", "decisions", "double", "of one float32 step", "single",
         "cost, single", "random observations", "double", "no finding of",
     )  # fmt: skip
+    scenarios = ", ".join(dict.fromkeys(f"`{row['scenario']}`" for row in result["rows"]))
     return (
         "Actions of C and Python, largest difference over the action's range; costs, relative "
-        "difference. Ten earthquakes in each scenario that the controller suits "
+        f"difference. Ten earthquakes in each scenario of {scenarios} that the controller suits "
         "(`python -m benchmarks.exported_accuracy`).\n\n" + table(head, rows)
     )
 

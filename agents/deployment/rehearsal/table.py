@@ -338,9 +338,10 @@ class _Periods:
         answer: tuple[float | None, float | None] = (None, None)
         while True:
             now = time.perf_counter()
-            # However late this loop wakes: what is due after the deadline is late.
-            self._link.flush(min(now, until))
-            arrived = self._link.overdue(min(now, until))
+            if now >= until:  # what is found from now on is late, and told by its number
+                return answer
+            self._link.flush(now)
+            arrived = self._link.overdue(now)
             while True:
                 try:
                     data = self._endpoint.recv(65536)
@@ -354,7 +355,7 @@ class _Periods:
                 taken = self._take(data, k)
                 if taken is not None:
                     answer = (taken, now - sent)
-            if answer[0] is not None or now >= until:
+            if answer[0] is not None:
                 return answer
             select.select([self._endpoint], [], [], max(0.0, min(until - now, 0.0005)))
 

