@@ -211,7 +211,13 @@ def memory_checks(
                 checked.append(cc)
         if shutil.which("valgrind"):
             test = build_test(folder, program.name, ("-O1", "-g"))
-            command = ["valgrind", "--error-exitcode=9", "--leak-check=full", "-q", test]
+            command: list[str | Path] = [
+                "valgrind",
+                "--error-exitcode=9",
+                "--leak-check=full",
+                "-q",
+                test,
+            ]
             streamed(command, fresh, stream)
             checked.append("valgrind")
     return tuple(checked)
