@@ -32,7 +32,9 @@ CASES = (
     ("laboratory", "lqr-friction-ff", False),
     ("laboratory", "apg", False),
     ("laboratory", "ppo", False),
+    ("laboratory", "dagger", False),
     ("unknown-specimen", "apg", False),
+    ("unknown-specimen", "adaptive", False),
     ("laboratory", "lqg", True),
 )  # scenario, controller, supervisor; laboratory's apg is 64 x 64 behind the estimator
 

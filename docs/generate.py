@@ -18,6 +18,7 @@ sys.path[:0] = [
 
 from generators import DOCS, ROOT, reference, results  # noqa: E402
 from generators.api import PACKAGES, api  # noqa: E402
+from generators.deployment import deployment_figures  # noqa: E402
 from generators.files import files_of_rooms  # noqa: E402
 
 from agents.laboratory.result_files import laboratory_tables  # noqa: E402
@@ -29,6 +30,7 @@ ARCHITECTURE = DOCS / "architecture.md"
 SB3_GUIDE = DOCS / "howto" / "train_with_sb3.md"
 TRAINING = DOCS / "training.md"
 CLUSTER = DOCS / "howto" / "cluster.md"
+DEPLOY = DOCS / "howto" / "deploy.md"
 
 
 def pages() -> dict[Path, str]:
@@ -45,6 +47,7 @@ def pages() -> dict[Path, str]:
         SB3_GUIDE: with_block(SB3_GUIDE, "sb3 guide", results.sb3_guide()),
         CLUSTER: with_block(CLUSTER, "execution figures", results.execution_figures()),
         TRAINING: with_block(TRAINING, "gradient noise", results.gradient_noise()),
+        DEPLOY: with_block(DEPLOY, "deployment figures", deployment_figures()),
     }
     for page, place, text in (
         (DOCS / "tables.md", "tables compared", results.compared_tables()),

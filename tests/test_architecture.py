@@ -16,8 +16,8 @@ ROOMS = """
     agents/__main__
     agents/cli
     agents/experiments agents/studies
-    agents/motions agents/laboratory
-    agents/deployment
+    agents/motions agents/deployment
+    agents/laboratory
     agents/reporting
     agents/acceptance
     agents/training

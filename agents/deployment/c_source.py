@@ -38,7 +38,7 @@ def number(value: float, precision: Precision = "float64") -> str:
 
 
 def environment(precision: Precision) -> jinja2.Environment:
-    """Return the templates; the filter `real` writes a number."""
+    """Return the templates; the filter `real` writes a number, `exact` one in double."""
     made = jinja2.Environment(
         loader=jinja2.FileSystemLoader(FOLDER),
         undefined=jinja2.StrictUndefined,
@@ -48,6 +48,7 @@ def environment(precision: Precision) -> jinja2.Environment:
         autoescape=False,
     )
     made.filters["real"] = lambda value: number(value, precision)
+    made.filters["exact"] = number
     return made
 
 

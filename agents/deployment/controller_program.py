@@ -7,6 +7,7 @@ from typing import Any
 
 import shake_env
 from agents.deployment.channels import current_channel, identifier, observation_channels
+from agents.deployment.exported import require_exported
 from agents.deployment.laws import block_of
 from agents.deployment.program import Precision, Program
 from agents.policies.policy_file import file_digest
@@ -47,6 +48,7 @@ def controller_program(
     ScenarioError
         If the controller does not suit the scenario, or has no form in C.
     """
+    require_exported(name)
     controller = get_controller(name, scenario)
     provenance = {
         "program": f"shake-env {shake_env.__version__}, {code_version() or 'not a git checkout'}",

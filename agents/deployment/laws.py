@@ -15,6 +15,7 @@ from agents.deployment.program import Block, flat
 from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.policy_file import PolicyFile
 from agents.policies.recurrent_cells import PARTS
+from baselines.estimation.adaptive import CertaintyEquivalence
 from baselines.estimation.lqg import EstimatedState, full_state
 from baselines.lqr.feedforward import NODES, WEIGHTS, FeedforwardLQR
 from baselines.lqr.integral import IntegralFeedback
@@ -30,12 +31,6 @@ from shake_env.errors import ScenarioError
 from shake_env.safety.supervisor import Supervised
 from shake_env.scenario.scenario import Scenario
 
-EXPORTABLE = (
-    "none, lqr, preview-lqr, lqr-integral, lqr-friction-ff, lqg, lqg-dac, lqg-searched, multi-model, "
-    "h-infinity, pid, tvc, tvc-dob, mcs, mcs-bounded, inverse-ff, inverse-ff-tvc, policies, and the "
-    "supervisor around each"
-)
-
 
 @singledispatch
 def block_of(controller: Any, scenario: Scenario) -> Block:
@@ -49,7 +44,7 @@ def block_of(controller: Any, scenario: Scenario) -> Block:
     raise ScenarioError(
         "controller",
         type(controller).__name__,
-        f"has no C form: it solves, plans or learns while it runs. Those that have one: {EXPORTABLE}",
+        "has no C form: it solves, plans or learns while it runs, or no block describes its class",
     )
 
 
@@ -64,7 +59,7 @@ def _(controller: NoControl, scenario: Scenario) -> Block:
 
 @block_of.register
 def _(controller: LinearFeedback, scenario: Scenario) -> Block:
-    return _linear(controller._row)
+    return _linear(controller.row)
 
 
 @block_of.register
@@ -77,20 +72,20 @@ def _(controller: IntegralFeedback, scenario: Scenario) -> Block:
     return Block(
         "integral",
         "linear feedback with integral action on the displacement",
-        arrays={"row": flat(controller._row), "error": flat(controller._error)},
-        numbers={"gain": controller._integral},
+        arrays={"row": flat(controller.row), "error": flat(controller.error_row)},
+        numbers={"gain": controller.integral_gain},
     )
 
 
 @block_of.register
 def _(controller: FeedforwardLQR, scenario: Scenario) -> Block:
-    friction, orifice = controller._friction, controller._valve is not None
-    if controller._load:
+    friction, orifice = controller.friction, controller.valve is not None
+    if controller.load:
         raise ScenarioError("orifice", "present", "only its preview is exported")
-    arrays = {"row": flat(controller._row)}
+    arrays = {"row": flat(controller.row)}
     numbers: dict[str, Any] = {
-        "friction": friction is not None, "orifice": orifice, "order": controller._order,
-        "limit": controller._limit,
+        "friction": friction is not None, "orifice": orifice, "order": controller.order,
+        "limit": controller.limit,
     }  # fmt: skip
     if friction is not None or orifice:
         preview = controller.preview
@@ -144,50 +139,93 @@ def _(controller: EstimatedState, scenario: Scenario) -> Block:
     )
 
 
+@block_of.register
+def _(controller: CertaintyEquivalence, scenario: Scenario) -> Block:
+    bank, observer = controller.bank, controller.observer
+    shown, layout = scenario.observation, scenario.plant.layout
+    scale = scenario.plant.state_scale
+    arrays = {name: getattr(bank, name) for name in ("laws", "shear")}
+    arrays["scale"] = scale[: shown.head]
+    integers: dict[str, Any] = {}
+    mean, variance = controller.prior
+    numbers: dict[str, Any] = {
+        "observed": observer is not None,
+        "F": len(bank.frequencies), "M": len(bank.mass_ratios), "n": bank.shear.shape[1],
+        "low": bank.mass_ratios[0], "high": bank.mass_ratios[-1], "entries": bank.laws.shape[-1],
+        "forget": controller.forget, "variance": controller.variance,
+        "prior_mean": mean, "prior_variance": variance, "limit": scenario.current_limit,
+        "w": layout.filter_states, "first_specimen": layout.specimen.start,
+        "first_reference": layout.reference.start, "preview": shown.preview_samples,
+        "first_preview": shown.preview.start,
+        "preview_scale": float(np.sqrt(scenario.plant.target_variance)),
+        "last_action": shown.last_action.start if shown.sensing.last_action else None,
+    }  # fmt: skip
+    if observer is None:
+        arrays["impulse"] = controller.impulse
+    else:
+        arrays |= {name: getattr(bank, name) for name in ("advance", "now", "following")}
+        arrays |= {
+            "source": controller.source, "balance": controller.balance,
+            "reading_scale": shown.reading_scale[controller.places], "table_A": observer.A,
+            "table_C": observer.C, "table_now": observer.now, "table_following": observer.following,
+            "table_gain": observer.gain, "on_last": observer.on_last,
+            "on_previous": observer.on_previous,
+        }  # fmt: skip
+        integers["places"] = [shown.readings.start + place for place in controller.places]
+        numbers |= {"lead": controller.lead, "table_mass": observer.mass}
+    return Block(
+        "adaptive",
+        "preview LQR of the specimen that is identified while the table moves",
+        {name: flat(array) for name, array in arrays.items()},
+        integers=integers,
+        numbers=numbers,
+    )
+
+
 def _signals(reader: SignalReader) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return arrays and numbers of the part that takes signals from an observation."""
-    numbers = {"integrates": reader.integrates, "half_period": reader._half_period}
-    return {"signals": flat(reader._rows.T)}, numbers
+    numbers = {"integrates": reader.integrates, "half_period": reader.half_period}
+    return {"signals": flat(reader.rows.T)}, numbers
 
 
 @block_of.register
 def _(controller: OutputFeedback, scenario: Scenario) -> Block:
-    arrays, numbers = _signals(controller._reader)
+    arrays, numbers = _signals(controller.reader)
     law, r = controller.law, len(controller.law.C)
     arrays["D"] = law.D
     if r:
         arrays |= {"A": law.A, "B": law.B, "C": law.C, "W": law.W}
-    numbers |= {"r": r, "limit": controller._limit}
+    numbers |= {"r": r, "limit": controller.limit}
     return Block("output_feedback", "linear feedback of measured signals", arrays, numbers=numbers)
 
 
 @block_of.register
 def _(controller: InverseFeedForward, scenario: Scenario) -> Block:
-    arrays, numbers = _signals(controller._reader)
+    arrays, numbers = _signals(controller.reader)
     law = controller.law
     arrays |= {"taps": law.taps, "feedback": law.feedback}
     numbers |= {
-        "past": controller._past, "preview": law.preview, "limit": controller._limit,
-        "samples": law.samples, "half_sample": 0.5 * controller._sample,
+        "past": controller.past, "preview": law.preview, "limit": controller.limit,
+        "samples": law.samples, "half_sample": 0.5 * controller.sample,
         "first_preview": scenario.observation.preview.start,
-        "preview_scale": controller._preview_scale, "acceleration_tap": law.acceleration_tap,
+        "preview_scale": controller.preview_scale, "acceleration_tap": law.acceleration_tap,
     }  # fmt: skip
     return Block("inverse_model", "inverse-model feed-forward", arrays, numbers=numbers)
 
 
 @block_of.register
 def _(controller: MCS, scenario: Scenario) -> Block:
-    arrays, numbers = _signals(controller._reader)
+    arrays, numbers = _signals(controller.reader)
     d = controller.design
-    arrays["D"] = controller._inner
+    arrays["D"] = controller.inner_row
     numbers |= {
         name: getattr(d, name)
         for name in ("damping_ratio", "displacement", "alpha", "beta", "leakage", "bound",
                      "error_integral", "normalised")
     }  # fmt: skip
     numbers |= {
-        "omega": controller._omega, "gain_unit": controller._unit, "limit": controller._limit,
-        "period": controller._period, "bounded": bool(np.isfinite(d.bound)),
+        "omega": controller.omega, "gain_unit": controller.gain_unit, "limit": controller.limit,
+        "period": controller.period, "bounded": bool(np.isfinite(d.bound)),
     }  # fmt: skip
     return Block(
         "mcs", "minimal control synthesis around three-variable control", arrays, numbers=numbers
@@ -196,12 +234,12 @@ def _(controller: MCS, scenario: Scenario) -> Block:
 
 @block_of.register
 def _(controller: DisturbanceObserver, scenario: Scenario) -> Block:
-    arrays, numbers = _signals(controller._reader)
+    arrays, numbers = _signals(controller.reader)
     shown = scenario.observation
-    arrays["arrivals"] = controller._arrivals
+    arrays["arrivals"] = controller.arrivals
     numbers |= {
-        "past": len(controller._arrivals), "limit": controller._limit, "lag": controller._lag,
-        "velocity_gain": controller._gain, "follow": controller._follow,
+        "past": len(controller.arrivals), "limit": controller.limit, "lag": controller.lag,
+        "velocity_gain": controller.velocity_gain, "follow": controller.follow,
         "last_action": shown.last_action.start if shown.sensing.last_action else None,
     }  # fmt: skip
     inner = block_of(controller.controller, scenario)

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from agents.deployment.channels import Channel
+from shake_env.errors import ParameterError
 from shake_env.model.parameters import FloatArray
 
 Precision = Literal["float64", "float32"]
@@ -43,7 +44,13 @@ class Block:
 
 @dataclass(frozen=True)
 class Program:
-    """One period of a controller, or of a plant: inputs to outputs, with a memory between periods."""
+    """One period of a controller, or of a plant: inputs to outputs, with a memory between periods.
+
+    Raises
+    ------
+    ParameterError
+        If its name is that of a kind of block in it, whose C functions would have the same names.
+    """
 
     name: str  # an identifier: prefix of every function and type
     title: str  # what it is, in words
@@ -61,6 +68,10 @@ class Program:
     def __post_init__(self) -> None:
         kinds = [block.kind for block in self.block.chain]
         assert len(set(kinds)) == len(kinds), "a kind of block occurs once in a program"
+        if self.name in kinds:
+            raise ParameterError(
+                "prefix", self.name, "is the name of a part of the program: choose another"
+            )
 
 
 def flat(array: Any) -> FloatArray:

@@ -16,7 +16,7 @@ from shake_env.safety.table_state_observer import FADING, GATE
 
 def supervisor_block(supervised: Supervised, inner: Block) -> Block:
     """Return a supervisor with the block of the controller that it is put around."""
-    observer, prediction = supervised._observer, supervised._foresight
+    observer, prediction = supervised.observer, supervised.prediction
     channels, size = observer.channels, supervised.scenario.observation.size
     h, columns, rows = prediction.rows.shape
     rest = observer.begin(1).covariance[0]
@@ -36,7 +36,7 @@ def supervisor_block(supervised: Supervised, inner: Block) -> Block:
         "current_sum": observer.current.sum(axis=1),
         "oil": observer.oil,
         "rest": np.diagonal(rest),
-        "usual": 3.0 * observer._usual,
+        "usual": 3.0 * observer.usual,
         "rows": np.swapaxes(prediction.rows, 1, 2),
         "bound": prediction.bound[:, 0],
         "velocity": prediction.velocity,
@@ -62,7 +62,7 @@ def supervisor_block(supervised: Supervised, inner: Block) -> Block:
         "deviations": DEVIATIONS,
         "misfit_share": MISFIT,
         "rounding": ROUNDING,
-        "most": supervised._most,
+        "most": supervised.most,
         "limit": supervised.scenario.current_limit,
         "gain_error": observer.gain_error,
         "delay_error": observer.delay_error,

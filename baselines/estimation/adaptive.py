@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from baselines.estimation.specimen_bank import SpecimenBank
 from baselines.estimation.table_observer import SIGNALS, TableObserver, check_signals
 from shake_env.errors import ParameterError, ScenarioError
-from shake_env.model.parameters import FloatArray
+from shake_env.model.parameters import Actuator, FloatArray
 from shake_env.model.plant import (
     LOAD_PRESSURE,
     SPOOL_POSITION,
@@ -28,7 +28,6 @@ from shake_env.model.plant import (
     TABLE_VELOCITY,
     ground_filter,
 )
-from shake_env.scenario.observation import STATE_SIGNALS
 from shake_env.scenario.scenario import Scenario
 
 
@@ -108,12 +107,12 @@ class CertaintyEquivalence:
             check_signals(shown.reading_names)
         self.scenario = scenario
         self.bank = SpecimenBank.of(scenario, position=position) if bank is None else bank
-        self._forget = math.exp(-scenario.control_period / memory)
-        self._source = ground_filter(scenario.ground).C[0]
+        self.forget = math.exp(-scenario.control_period / memory)  # of evidence, a period [-]
+        self.source = ground_filter(scenario.ground).C[0]  # (w,) target per SI unit of x_W
         uncertain = scenario.uncertainty.mass_ratio
         low, high = (0.0, 0.0) if uncertain is None else (uncertain.low, uncertain.high)
         nominal = float(np.mean(self.bank.mass_ratios))
-        self._prior = (nominal, max((high - low) ** 2 / 12.0, 1e-12))
+        self.prior = (nominal, max((high - low) ** 2 / 12.0, 1e-12))  # mass ratio: mean, variance
         rms = math.sqrt(float(plant.reference_shear_variance)) * scenario.motion.amplitude
         a, noise = scenario.actuator, self._noise
         sensors = np.array(
@@ -123,10 +122,22 @@ class CertaintyEquivalence:
                 a.piston_area * noise("load_pressure"),
             ]
         )
-        self._variance = float(np.sum(sensors**2)) + (floor * rms) ** 2
-        self._observer = None
+        self.variance = float(np.sum(sensors**2)) + (floor * rms) ** 2  # of a balance's shear [N^2]
+        self.impulse = _impulse(a, scenario.control_period)
+        # Base shear [N] that the balance of forces leaves, per SI unit of each of `SIGNALS`, (5,).
+        force = {
+            "table_displacement": a.table_stiffness, "table_velocity": a.table_damping,
+            "load_pressure": -a.piston_area, "table_acceleration": a.table_mass,
+        }  # fmt: skip
+        self.balance = np.array([force.get(signal, 0.0) for signal in SIGNALS])
+        self.observer = None
         if not scenario.sensing.full_state:
-            self._observer = TableObserver.of(scenario, floor * rms)
+            self.observer = TableObserver.of(scenario, floor * rms)
+            # Where the readings have each of `SIGNALS`.
+            self.places = [shown.reading_names.index(signal) for signal in SIGNALS]
+            # The accelerometer's low-pass, f' = omega (y - f), is undone by a difference of readings.
+            cutoff = shown.sensor_values("lowpass_frequency")[self.places[-1]]
+            self.lead = 1.0 / (2.0 * math.pi * scenario.control_period * cutoff)  # [-]
 
     def _noise(self, signal: str) -> float:
         names = self.scenario.observation.reading_names
@@ -155,14 +166,14 @@ class CertaintyEquivalence:
 
     def posterior(self, belief: AdaptiveState) -> tuple[FloatArray, FloatArray]:
         """Return each frequency's probability (N, F) and its mass ratio (N, F)."""
-        mean, variance = self._prior
-        precision = belief.moments[..., 0] / self._variance + 1.0 / variance
-        mass = (belief.moments[..., 1] / self._variance + mean / variance) / precision
+        mean, variance = self.prior
+        precision = belief.moments[..., 0] / self.variance + 1.0 / variance
+        mass = (belief.moments[..., 1] / self.variance + mean / variance) / precision
         low, high = self.bank.mass_ratios[[0, -1]]
         mass = np.clip(mass, low, high)
         left = belief.square[:, None] - 2.0 * mass * belief.moments[..., 1]
         left += mass**2 * belief.moments[..., 0]
-        evidence = left / self._variance + (mass - mean) ** 2 / variance + np.log(precision * variance)
+        evidence = left / self.variance + (mass - mean) ** 2 / variance + np.log(precision * variance)
         weight = np.exp(-0.5 * (evidence - evidence.min(axis=-1, keepdims=True)))
         return weight / weight.sum(axis=-1, keepdims=True), mass
 
@@ -176,11 +187,11 @@ class CertaintyEquivalence:
         layout, scale = scenario.plant.layout, scenario.plant.state_scale
         head = rows[:, : shown.head] * scale[: shown.head]
         ground = head[:, layout.ground]
-        target = ground @ self._source
+        target = ground @ self.source
         if shown.sensing.last_action:  # what was given, which a supervisor may have changed
             given = scenario.current_limit * rows[:, shown.last_action]
             belief = replace(belief, commands=np.concatenate([given, belief.commands[:, 1:]], axis=-1))
-        if self._observer is None:
+        if self.observer is None:
             belief = self._shown(head, belief)
             weight, mass = self.posterior(belief)
             table = head[:, layout.actuator]
@@ -189,7 +200,7 @@ class CertaintyEquivalence:
             before, belief = belief.phi, self._simulated(readings, raw, target, belief)
             weight, mass = self.posterior(belief)
             shear = np.stack([np.sum(weight * mass * phi, axis=-1) for phi in (before, belief.phi)], -1)
-            table = self._observer.update(belief.table, belief.commands, shear, readings)
+            table = self.observer.update(belief.table, belief.commands, shear, readings)
         common = np.concatenate(
             [
                 rows[:, shown.preview] * math.sqrt(scenario.plant.target_variance),
@@ -216,17 +227,6 @@ class CertaintyEquivalence:
         belief = replace(belief, table=table, target=target, commands=commands, started=now)
         return current, belief
 
-    def _weighed(self, acceleration: FloatArray, table: FloatArray) -> FloatArray:
-        """Return the base shear (N,) [N] that the balance of forces on the table leaves."""
-        a = self.scenario.actuator
-        shear: FloatArray = (
-            a.table_mass * acceleration
-            + a.table_damping * table[:, TABLE_VELOCITY]
-            + a.table_stiffness * table[:, TABLE_DISPLACEMENT]
-            - a.piston_area * table[:, LOAD_PRESSURE]
-        )
-        return shear
-
     def _learnt(self, belief: AdaptiveState, phi: FloatArray, shear: FloatArray) -> AdaptiveState:
         """Return the belief after a period of `shear` (N,); an episode's start tells nothing."""
         new = np.where(belief.started[:, None], phi, 0.0)
@@ -234,20 +234,16 @@ class CertaintyEquivalence:
         added = np.stack([new**2, new * f[:, None]], axis=-1)
         return replace(
             belief,
-            moments=self._forget * belief.moments + added,
-            square=self._forget * belief.square + f**2,
+            moments=self.forget * belief.moments + added,
+            square=self.forget * belief.square + f**2,
         )
 
     def _readings(self, rows: FloatArray, belief: AdaptiveState) -> tuple[FloatArray, FloatArray]:
         """Return the readings (N, 5) of `SIGNALS` in SI, the low-pass undone, and what it gave."""
         shown = self.scenario.observation
-        places = [shown.reading_names.index(signal) for signal in SIGNALS]
-        readings = (rows[:, shown.readings] * shown.reading_scale)[:, places]
-        cutoff = shown.sensor_values("lowpass_frequency")[places[-1]]
+        readings = (rows[:, shown.readings] * shown.reading_scale)[:, self.places]
         raw = readings[:, -1].copy()
-        # The low-pass, f' = omega (y - f), is undone by a difference of two readings.
-        lead = 1.0 / (2.0 * math.pi * self.scenario.control_period * cutoff)
-        readings[:, -1] += lead * (raw - belief.acceleration[:, 1])
+        readings[:, -1] += self.lead * (raw - belief.acceleration[:, 1])
         return readings, raw
 
     def _simulated(
@@ -266,11 +262,7 @@ class CertaintyEquivalence:
             )
         )
         phi = np.sum(b.shear * specimen, axis=-1)
-        belief = self._learnt(
-            belief,
-            phi,
-            self._weighed(acceleration, readings[:, np.argsort(list(STATE_SIGNALS.values()))]),
-        )
+        belief = self._learnt(belief, phi, readings @ self.balance)
         return replace(
             belief,
             specimen=specimen,
@@ -281,35 +273,33 @@ class CertaintyEquivalence:
 
     def _shown(self, head: FloatArray, belief: AdaptiveState) -> AdaptiveState:
         """Learn from the full state: a period's impulse is the change of momentum."""
-        layout, a = self.scenario.plant.layout, self.scenario.actuator
-        period, table = self.scenario.control_period, head[:, layout.actuator]
+        layout = self.scenario.plant.layout
+        table = head[:, layout.actuator]
         candidates = len(self.bank.frequencies)
         specimen = np.repeat(head[:, None, layout.specimen], candidates, axis=1)
         reference = np.repeat(head[:, None, layout.reference], candidates, axis=1)
         phi = np.sum(self.bank.shear * specimen, axis=-1)
-        was = belief.table
-        # The pressure's slope is known at both ends: its mean by the cubic between them.
-        slope = [self._pressure_slope(x) for x in (was, table)]
-        pressure = 0.5 * (was + table)[:, LOAD_PRESSURE] + period * (slope[0] - slope[1]) / 12.0
-        change = table - was
-        shear = (
-            (a.table_mass * change[:, TABLE_VELOCITY] + a.table_damping * change[:, TABLE_DISPLACEMENT])
-            / period
-            + a.table_stiffness * 0.5 * (was + table)[:, TABLE_DISPLACEMENT]
-            - a.piston_area * pressure
-        )
+        shear = belief.table @ self.impulse[0] + table @ self.impulse[1]
         belief = self._learnt(belief, 0.5 * (belief.phi + phi), shear)
         return replace(belief, specimen=specimen, reference=reference, phi=phi)
 
-    def _pressure_slope(self, table: FloatArray) -> FloatArray:
-        a = self.scenario.actuator
-        flow = (
-            a.flow_gain * table[:, SPOOL_POSITION]
-            - a.piston_area * table[:, TABLE_VELOCITY]
-            - a.leakage * table[:, LOAD_PRESSURE]
-        )
-        slope: FloatArray = 4.0 * a.bulk_modulus / a.oil_volume * flow
-        return slope
+
+def _impulse(a: Actuator, period: float) -> FloatArray:
+    """Return the mean base shear [N] of a period per SI unit of x_A at its start and end, (2, 4).
+
+    The change of momentum less the other forces' impulse. The pressure's slope is known at both ends:
+    its mean is that of the cubic between them.
+    """
+    slope = np.zeros(4)
+    slope[[SPOOL_POSITION, TABLE_VELOCITY, LOAD_PRESSURE]] = a.flow_gain, -a.piston_area, -a.leakage
+    slope *= 4.0 * a.bulk_modulus / a.oil_volume
+    rows = np.zeros((2, 4))
+    for row, sign in zip(rows, (-1.0, 1.0), strict=True):
+        row[TABLE_VELOCITY] = sign * a.table_mass / period
+        row[TABLE_DISPLACEMENT] = sign * a.table_damping / period + 0.5 * a.table_stiffness
+        row[LOAD_PRESSURE] = -0.5 * a.piston_area
+        row += sign * a.piston_area * period / 12.0 * slope
+    return rows
 
 
 def certainty_equivalence(

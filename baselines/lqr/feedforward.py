@@ -184,18 +184,19 @@ class FeedforwardLQR:
         position: float | None = None,
     ) -> None:
         c = Compensation() if compensation is None else compensation
-        self._row = PreviewFeedback(scenario, position=position).row
-        self._order = scenario.plant.layout.order
-        self._limit = scenario.current_limit
+        self.row = PreviewFeedback(scenario, position=position).row  # (size,)
+        self.order = scenario.plant.layout.order  # entries of the full state
+        self.limit = scenario.current_limit  # [A]
         parts, layout = scenario.nonlinearity, scenario.plant.layout
-        self._friction = parts.friction if c.friction and parts.friction.active else None
-        self._valve = parts.valve if c.orifice == "preview" and parts.valve.flow_active else None
-        if self._friction is not None or self._valve is not None:
+        self.friction = parts.friction if c.friction and parts.friction.active else None
+        self.valve = parts.valve if c.orifice == "preview" and parts.valve.flow_active else None
+        if self.friction is not None or self.valve is not None:
             periods = max(1, math.ceil(c.horizon / scenario.control_period - 1e-9))
             self.preview = DisturbancePreview.of(scenario, periods, position)
         pressure = scenario.plant.state_scale[layout.actuator][LOAD_PRESSURE]
         self._pressure = layout.actuator.start + LOAD_PRESSURE
-        self._load = pressure / parts.valve.supply_pressure if c.orifice == "present" else 0.0
+        # Load pressure per unit of its entry, over the supply's [-]; 0: not compensated.
+        self.load = pressure / parts.valve.supply_pressure if c.orifice == "present" else 0.0
         self._floor = c.floor
 
     def predict(
@@ -206,23 +207,23 @@ class FeedforwardLQR:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
         """Return the action (..., 1) for an observation (..., size), within [-1, 1]."""
-        action = observation @ self._row
-        if self._friction is not None:
-            action = action + self.friction_current(observation) / self._limit
-        if self._valve is not None:
-            action = action + self.flow_current(observation) / self._limit
-        if self._load:
-            share = 1.0 - np.sign(action) * observation[..., self._pressure] * self._load
+        action = observation @ self.row
+        if self.friction is not None:
+            action = action + self.friction_current(observation) / self.limit
+        if self.valve is not None:
+            action = action + self.flow_current(observation) / self.limit
+        if self.load:
+            share = 1.0 - np.sign(action) * observation[..., self._pressure] * self.load
             action = action / np.sqrt(np.maximum(share, self._floor))
         return np.clip(action, -1.0, 1.0)[..., None].astype(np.float32), None
 
     def friction_current(self, observation: NDArray[np.float32]) -> FloatArray:
         """Return the current (...) [A] that makes up for the friction expected over the horizon."""
-        assert self._friction is not None  # the caller asked
+        assert self.friction is not None  # the caller asked
         p = self.preview
-        velocity = observation[..., : self._order] @ p.rows[1].T
+        velocity = observation[..., : self.order] @ p.rows[1].T
         spread = velocity[..., None] + p.velocity_spread[:, None] * NODES
-        force: FloatArray = self._friction.force(spread) @ WEIGHTS
+        force: FloatArray = self.friction.force(spread) @ WEIGHTS
         current: FloatArray = force @ p.force_row
         return current
 
@@ -231,9 +232,9 @@ class FeedforwardLQR:
 
         Orifice, dead band and the spool's stop, at the predicted pressure and spool position.
         """
-        assert self._valve is not None  # the caller asked
-        p, x = self.preview, observation[..., : self._order]
+        assert self.valve is not None  # the caller asked
+        p, x = self.preview, observation[..., : self.order]
         pressure, spool = x @ p.rows[0].T, x @ p.rows[2].T
-        missing = self._valve.opening(spool, pressure) - spool
+        missing = self.valve.opening(spool, pressure) - spool
         current: FloatArray = missing @ p.flow_row
         return current

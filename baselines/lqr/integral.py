@@ -130,12 +130,12 @@ class IntegralFeedback:
     """
 
     def __init__(self, scenario: Scenario, design: IntegralDesign) -> None:
-        self._row = action_row(scenario, design.gain)
-        self._error = np.zeros_like(self._row)
-        self._error[: len(design.error_row)] = (
+        self.row = action_row(scenario, design.gain)  # (size,) action per entry of the observation
+        self.error_row = np.zeros_like(self.row)  # (size,) what a period adds to xi [m s]
+        self.error_row[: len(design.error_row)] = (
             design.error_row * scenario.plant.state_scale * design.period
         )
-        self._integral = -design.integral_gain / scenario.current_limit
+        self.integral_gain = -design.integral_gain / scenario.current_limit  # [1/(m s)]
 
     def predict(
         self,
@@ -149,8 +149,8 @@ class IntegralFeedback:
         xi = np.zeros(x.shape[:-1]) if state is None else np.asarray(state[0], dtype=float)
         if episode_start is not None:
             xi = np.where(np.reshape(episode_start, xi.shape), 0.0, xi)
-        wanted = x @ self._row + self._integral * xi
+        wanted = x @ self.row + self.integral_gain * xi
         action = np.clip(wanted, -1.0, 1.0)
-        step = x @ self._error
-        winding = (wanted != action) & (self._integral * step * wanted > 0.0)
+        step = x @ self.error_row
+        winding = (wanted != action) & (self.integral_gain * step * wanted > 0.0)
         return action[..., None].astype(np.float32), (xi + np.where(winding, 0.0, step),)

@@ -98,7 +98,7 @@ class LinearFeedback:
     """
 
     def __init__(self, scenario: Scenario, gain: FloatArray) -> None:
-        self._row = action_row(scenario, gain)
+        self.row = action_row(scenario, gain)  # (size,) action per entry of the observation
 
     def predict(
         self,
@@ -108,7 +108,7 @@ class LinearFeedback:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[Any, ...] | None]:
         """Return the action (..., 1) for an observation (..., n), within [-1, 1]."""
-        action = np.clip(observation @ self._row, -1.0, 1.0)
+        action = np.clip(observation @ self.row, -1.0, 1.0)
         return action[..., None].astype(np.float32), None
 
 

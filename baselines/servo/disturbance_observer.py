@@ -92,23 +92,25 @@ class DisturbanceObserver:
         self, scenario: Scenario, controller: Controller, design: ObserverDesign | None = None
     ) -> None:
         self.controller = controller
-        self._reader, self._shown = SignalReader(scenario, NEEDS), scenario.observation
-        self._limit = scenario.current_limit
-        self._gain, self._lag = scenario.actuator.velocity_gain, scenario.actuator.valve_time_constant
+        self.reader, self._shown = SignalReader(scenario, NEEDS), scenario.observation
+        self.limit = scenario.current_limit  # [A]
+        self.velocity_gain = scenario.actuator.velocity_gain  # [m/s per A]
+        self.lag = scenario.actuator.valve_time_constant  # [s]
         corner = observer_corner(scenario, design or ObserverDesign())
-        self._follow = -math.expm1(-2.0 * math.pi * corner * scenario.control_period)
+        # Share of what is unexplained that Q takes up in a period [-].
+        self.follow = -math.expm1(-2.0 * math.pi * corner * scenario.control_period)
         # Commands before the present, newest first, as they arrive at the middle of the dead time.
         dead = dead_periods(scenario)
         whole = math.floor(dead)
-        self._arrivals = np.zeros(whole + 2)
-        self._arrivals[whole] = 1.0 - (dead - whole)
-        self._arrivals[whole + 1] = dead - whole
+        self.arrivals = np.zeros(whole + 2)
+        self.arrivals[whole] = 1.0 - (dead - whole)
+        self.arrivals[whole + 1] = dead - whole
         # The response at this sample is of commands up to the last period.
-        self._arrivals = self._arrivals[1:] + np.eye(whole + 1)[0] * self._arrivals[0]
+        self.arrivals = self.arrivals[1:] + np.eye(whole + 1)[0] * self.arrivals[0]
 
     def compensation(self, state: Memory) -> FloatArray:
         """Return the current (...) [A] that makes up for the disturbance: its negative."""
-        estimate: FloatArray = state[0][..., self._reader.memory_size + 1]
+        estimate: FloatArray = state[0][..., self.reader.memory_size + 1]
         return estimate
 
     def predict(
@@ -119,21 +121,21 @@ class DisturbanceObserver:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], Memory | None]:
         """Return the action (..., 1) for an observation (..., n), and the memory."""
-        own, lead = self._reader.memory_size, observation.shape[:-1]
+        own, lead = self.reader.memory_size, observation.shape[:-1]
         mine = None if state is None else state[:1]
         inner = None if state is None else state[1]
-        memory = recall(mine, episode_start, lead, own + 2 + len(self._arrivals))
-        signals, read = self._reader.read(observation, memory[..., :own])
+        memory = recall(mine, episode_start, lead, own + 2 + len(self.arrivals))
+        signals, read = self.reader.read(observation, memory[..., :own])
         first, second, past = memory[..., own], memory[..., own + 1], memory[..., own + 2 :]
         if self._shown.sensing.last_action:  # what was given, which a supervisor may have changed
-            given = self._limit * observation[..., self._shown.last_action]
+            given = self.limit * observation[..., self._shown.last_action]
             past = np.concatenate([given, past[..., 1:]], axis=-1)
-        needed = (signals[..., VELOCITY] + self._lag * signals[..., ACCELERATION]) / self._gain
-        unexplained = past @ self._arrivals - needed
-        first = first + self._follow * (unexplained - first)
-        second = second + self._follow * (first - second)
+        needed = (signals[..., VELOCITY] + self.lag * signals[..., ACCELERATION]) / self.velocity_gain
+        unexplained = past @ self.arrivals - needed
+        first = first + self.follow * (unexplained - first)
+        second = second + self.follow * (first - second)
         asked, inner = decide(self.controller, observation, inner, episode_start, deterministic)
-        action = np.clip(asked[..., 0] + second / self._limit, -1.0, 1.0)
-        past = np.concatenate([self._limit * action[..., None], past[..., :-1]], axis=-1)
+        action = np.clip(asked[..., 0] + second / self.limit, -1.0, 1.0)
+        past = np.concatenate([self.limit * action[..., None], past[..., :-1]], axis=-1)
         next_memory = np.concatenate([read, first[..., None], second[..., None], past], axis=-1)
         return action[..., None].astype(np.float32), (np.nan_to_num(next_memory), inner)

@@ -198,13 +198,13 @@ class InverseFeedForward:
         self.law = inverse_law(scenario, design or InverseDesign())
         fed_back = bool(self.law.feedback.any())
         needs = ("table_displacement", "table_velocity", "table_acceleration") if fed_back else ()
-        self._reader = SignalReader(scenario, needs)
-        self._limit = scenario.current_limit
-        self._sample = scenario.control_period / self.law.samples
+        self.reader = SignalReader(scenario, needs)
+        self.limit = scenario.current_limit  # [A]
+        self.sample = scenario.control_period / self.law.samples  # [s]
         first = scenario.observation.preview.start
         self._preview = slice(first, first + self.law.preview * self.law.samples)
-        self._preview_scale = math.sqrt(scenario.plant.target_variance)
-        self._past = len(self.law.taps) - 1 - self.law.preview
+        self.preview_scale = math.sqrt(scenario.plant.target_variance)  # [m/s^2]
+        self.past = len(self.law.taps) - 1 - self.law.preview  # periods that are remembered
 
     def predict(
         self,
@@ -214,14 +214,14 @@ class InverseFeedForward:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], Memory | None]:
         """Return the action (..., 1) for an observation (..., n), and the memory."""
-        own = self._reader.memory_size
-        memory = recall(state, episode_start, observation.shape[:-1], own + self._past)
-        signals, read = self._reader.read(observation, memory[..., :own])
+        own = self.reader.memory_size
+        memory = recall(state, episode_start, observation.shape[:-1], own + self.past)
+        signals, read = self.reader.read(observation, memory[..., :own])
         now = signals[..., TARGET_VELOCITY : TARGET_VELOCITY + 1]
         acceleration = signals[..., TARGET_ACCELERATION : TARGET_ACCELERATION + 1]
-        coming = observation[..., self._preview].astype(np.float64) * self._preview_scale
+        coming = observation[..., self._preview].astype(np.float64) * self.preview_scale
         before = np.concatenate([acceleration, coming[..., :-1]], axis=-1)[..., : coming.shape[-1]]
-        steps = np.cumsum(0.5 * self._sample * (coming + before), axis=-1)
+        steps = np.cumsum(0.5 * self.sample * (coming + before), axis=-1)
         future = now + steps[..., self.law.samples - 1 :: self.law.samples]
         known = np.concatenate([memory[..., own:], now], axis=-1)
         current = np.concatenate([known, future], axis=-1) @ self.law.taps
@@ -229,4 +229,4 @@ class InverseFeedForward:
             current + acceleration[..., 0] * self.law.acceleration_tap + signals @ self.law.feedback
         )
         lines = np.concatenate([read, known[..., 1:]], axis=-1)
-        return as_action(current, self._limit), (lines,)
+        return as_action(current, self.limit), (lines,)

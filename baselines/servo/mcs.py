@@ -93,17 +93,17 @@ class MCS:
 
     def __init__(self, scenario: Scenario, design: MCSDesign | None = None) -> None:
         self.design = values = design or MCSDesign()
-        self._inner = tvc_law(scenario, values.inner).D
-        self._reader = SignalReader(scenario, NEEDS)
-        self._limit, self._period = scenario.current_limit, scenario.control_period
-        self._omega = 2.0 * math.pi * values.bandwidth
-        self._unit = self._omega / (
+        self.inner_row = tvc_law(scenario, values.inner).D  # (8,) [A per SI unit of a signal]
+        self.reader = SignalReader(scenario, NEEDS)
+        self.limit, self.period = scenario.current_limit, scenario.control_period  # [A], [s]
+        self.omega = 2.0 * math.pi * values.bandwidth  # [rad/s]
+        self.gain_unit = self.omega / (
             2.0 * values.damping_ratio * scenario.actuator.velocity_gain
         )  # [A/m]
 
     def gains(self, state: Memory) -> FloatArray:
         """Return the integral gains (..., 4) out of the memory, in the design's unit."""
-        first = self._reader.memory_size
+        first = self.reader.memory_size
         adapted: FloatArray = state[0][..., first : first + GAINS]
         return adapted
 
@@ -115,14 +115,14 @@ class MCS:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], Memory | None]:
         """Return the action (..., 1) for an observation (..., n), and the memory."""
-        d, own = self.design, self._reader.memory_size
+        d, own = self.design, self.reader.memory_size
         memory = recall(state, episode_start, observation.shape[:-1], own + GAINS + 1)
-        signals, read = self._reader.read(observation, memory[..., :own])
+        signals, read = self.reader.read(observation, memory[..., :own])
         change, integral = memory[..., own : own + GAINS], memory[..., -1]
         x, v = signals[..., DISPLACEMENT], signals[..., VELOCITY]
         target = signals[..., TARGET_DISPLACEMENT]
         target_velocity = signals[..., TARGET_VELOCITY]
-        omega, zeta = self._omega, d.damping_ratio
+        omega, zeta = self.omega, d.damping_ratio
         acceleration = signals[..., TARGET_ACCELERATION]
         demand = target + 2.0 * zeta / omega * target_velocity + acceleration / omega**2
         error, rate = target - x, target_velocity - v
@@ -134,12 +134,12 @@ class MCS:
         if d.normalised:
             drive = drive / (1.0 + np.sum(regressor**2, axis=-1, keepdims=True))
         total = change + d.beta * drive
-        current = signals @ self._inner
-        current = current + self._unit * d.displacement * np.sum(total * regressor, axis=-1)
+        current = signals @ self.inner_row
+        current = current + self.gain_unit * d.displacement * np.sum(total * regressor, axis=-1)
         # What the valve cannot give is no error of the gains: adaptation waits while it saturates.
-        free = np.abs(current) <= self._limit
+        free = np.abs(current) <= self.limit
         step = d.alpha * drive * free[..., None] - d.leakage * change
-        change = np.clip(change + self._period * step, -d.bound, d.bound)
-        integral = integral + self._period * error * free
+        change = np.clip(change + self.period * step, -d.bound, d.bound)
+        integral = integral + self.period * error * free
         next_memory = np.concatenate([read, change, integral[..., None]], axis=-1)
-        return as_action(current, self._limit), (np.nan_to_num(next_memory),)
+        return as_action(current, self.limit), (np.nan_to_num(next_memory),)

@@ -172,8 +172,8 @@ class OutputFeedback:
 
     def __init__(self, scenario: Scenario, law: LinearLaw, needs: tuple[str, ...]) -> None:
         self.law = law
-        self._reader = SignalReader(scenario, needs)
-        self._limit = scenario.current_limit
+        self.reader = SignalReader(scenario, needs)
+        self.limit = scenario.current_limit  # [A]
 
     def predict(
         self,
@@ -183,11 +183,11 @@ class OutputFeedback:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], Memory | None]:
         """Return the action (..., 1) for an observation (..., n), and the memory."""
-        law, own = self.law, self._reader.memory_size
+        law, own = self.law, self.reader.memory_size
         memory = recall(state, episode_start, observation.shape[:-1], own + len(self.law.C))
-        signals, read = self._reader.read(observation, memory[..., :own])
+        signals, read = self.reader.read(observation, memory[..., :own])
         xi = memory[..., own:]
         current = xi @ law.C + signals @ law.D
-        excess = np.clip(current, -self._limit, self._limit) - current
+        excess = np.clip(current, -self.limit, self.limit) - current
         xi = xi @ law.A.T + signals @ law.B.T + excess[..., None] * law.W
-        return as_action(current, self._limit), (np.concatenate([read, xi], axis=-1),)
+        return as_action(current, self.limit), (np.concatenate([read, xi], axis=-1),)

@@ -115,17 +115,17 @@ class SignalReader:
             rows[TARGET_VELOCITY, 0] = 2.0 * plant.ground.damping_ratio * plant.ground.omega * scale[0]
         else:
             rows[TARGET_DISPLACEMENT, 2], rows[TARGET_VELOCITY, 3] = scale[2], scale[3]
-        self._rows = rows.T.copy()
-        self._half_period = 0.5 * scenario.control_period
+        self.rows = rows.T.copy()  # (size, 8) signals in SI per entry of the observation
+        self.half_period = 0.5 * scenario.control_period  # [s]
 
     def read(
         self, observation: NDArray[np.float32], memory: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the signals (..., 8) and the reader's memory (..., 2), zero at an episode's start."""
-        signals: FloatArray = observation.astype(np.float64) @ self._rows
+        signals: FloatArray = observation.astype(np.float64) @ self.rows
         if not self.integrates:
             return signals, memory
         velocity = signals[..., TARGET_VELOCITY]
-        displacement = memory[..., 0] + self._half_period * (memory[..., 1] + velocity)
+        displacement = memory[..., 0] + self.half_period * (memory[..., 1] + velocity)
         signals[..., TARGET_DISPLACEMENT] = displacement
         return signals, np.stack([displacement, velocity], axis=-1)

@@ -112,15 +112,15 @@ class Supervised:
             raise ScenarioError("limits", limits, 'has none to keep: limits="laboratory" has')
         # A float32 of the largest command allowed must not round to a larger one.
         allowed = math.inf if limits.current is None else limits.current * (1.0 - 1e-6)
-        self._most = min(1.0, allowed / scenario.current_limit)
-        bounds["current"] = self._most * scenario.current_limit
+        self.most = min(1.0, allowed / scenario.current_limit)  # largest action that is sent [-]
+        bounds["current"] = self.most * scenario.current_limit
         _require_readings(scenario)
         specimens = _family(scenario, mass_ratio, storey_frequency)
-        self._observer = TableStateObserver.of(scenario)
-        noise = self._observer.channels.noise[:ACTUATOR]
-        self._foresight = BrakingPrediction.of(scenario, specimens, bounds, noise)
+        self.observer = TableStateObserver.of(scenario)
+        noise = self.observer.channels.noise[:ACTUATOR]
+        self.prediction = BrakingPrediction.of(scenario, specimens, bounds, noise)
         # What an error of x_A does to every look ahead, (H, 4, R) [A per SI unit].
-        self._sensitivity = np.abs(self._foresight.rows[:, :ACTUATOR])
+        self.sensitivity = np.abs(self.prediction.rows[:, :ACTUATOR])
         self._latest: tuple[Memory, ObserverMemory, HeldEntries] | None = None
 
     def predict(
@@ -132,15 +132,15 @@ class Supervised:
     ) -> tuple[NDArray[np.float32], tuple[Any, ...]]:
         """Return the controller's action (..., 1), limited, and ``(its state, the supervisor's)``."""
         inner, memory, sensors, held = (None, None, None, None) if state is None else state
-        channels = self._observer.channels
+        channels = self.observer.channels
         # Read before the controller is asked: nothing that it does to an array counts.
         readings = np.atleast_2d(observation)[:, channels.places] * channels.scale
         begins = np.zeros(len(readings), dtype=bool)
         if episode_start is not None:
             begins |= np.atleast_1d(episode_start)
         if sensors is None:
-            sensors = self._observer.begin(len(readings))
-        estimate, sensors = self._observer.look(self._observer.afresh(sensors, begins), readings)
+            sensors = self.observer.begin(len(readings))
+        estimate, sensors = self.observer.look(self.observer.afresh(sensors, begins), readings)
         # The controller is shown what is believed in place of a faulty reading, and the last finite
         # value of any other entry, so that nothing that is not a number stays in its memory.
         shown = np.array(observation)
@@ -153,14 +153,14 @@ class Supervised:
         wanted = np.array(action, dtype=np.float64).reshape(len(readings))
         memory = self._look(memory, estimate.table, begins)
         sent, memory, under_way = self._limit(memory, estimate, sensors.misfit, wanted)
-        sensors = self._observer.predict(sensors, under_way, self._flow(estimate.table))
+        sensors = self.observer.predict(sensors, under_way, self._flow(estimate.table))
         self._latest = (memory, sensors, held)
         return sent.astype(np.float32).reshape(np.shape(action)), (inner, memory, sensors, held)
 
     def interventions(self, state: tuple[Any, ...] | None = None) -> Interventions:
         """Return how often the supervisor acted, up to `state` or else up to its last call."""
         latest = self._latest if state is None else (state[1], state[2], state[3])
-        names = self._observer.channels.names
+        names = self.observer.channels.names
         if latest is None:
             none = np.zeros(0, dtype=np.int64)
             faults = dict.fromkeys((*names, OTHER_ENTRIES), none)
@@ -173,7 +173,7 @@ class Supervised:
 
     def _look(self, memory: Memory | None, readings: FloatArray, begins: NDArray[np.bool_]) -> Memory:
         """Return the memory with what the readings (N, 4) say of the specimens and forces."""
-        prediction = self._foresight
+        prediction = self.prediction
         velocity = readings[:, TABLE_VELOCITY]
         lanes, hypotheses, floors = len(readings), len(prediction.push), prediction.carry.shape[1]
         if memory is None:
@@ -205,14 +205,14 @@ class Supervised:
         self, memory: Memory, estimate: Estimate, misfit: FloatArray, wanted: FloatArray
     ) -> tuple[FloatArray, Memory, FloatArray]:
         """Return the actions (N,) that are sent in place of those `wanted`, the memory, the queue."""
-        prediction, full = self._foresight, self.scenario.current_limit
+        prediction, full = self.prediction, self.scenario.current_limit
         table = estimate.table
         z = self._state(memory, table)
         across = z.astype(np.float32) @ prediction.rows
         margin = DEVIATIONS * estimate.deviation + MISFIT * misfit
         reach = prediction.bound
         if margin.any():
-            reach = reach - margin.astype(np.float32) @ self._sensitivity
+            reach = reach - margin.astype(np.float32) @ self.sensitivity
         upper = (reach - across).min(axis=(0, 2)) / full
         lower = -(reach + across).min(axis=(0, 2)) / full
         brake = -np.concatenate([table, memory.commands], axis=-1) @ prediction.feedback / full
@@ -223,7 +223,7 @@ class Supervised:
         # Where two limits contradict each other, what lies between their demands breaks each a little.
         low, high = np.minimum(lower, upper), np.maximum(lower, upper)
         sent = np.minimum(np.maximum(np.where(braking, brake, asked), low), high)
-        sent = sent.clip(-self._most, self._most).astype(np.float32).astype(np.float64)  # as it leaves
+        sent = sent.clip(-self.most, self.most).astype(np.float32).astype(np.float64)  # as it leaves
         change = np.where(finite, np.abs(sent - asked), 0.0)
         current = full * sent
         expected = (z @ prediction.velocity[:, :-1, None])[:, :, 0] + prediction.velocity[

@@ -201,7 +201,7 @@ class TableStateObserver:
         fits = (faulty[:, :ACTUATOR] == 0).all(axis=1)
         variance = np.maximum(covariance[:, range(ACTUATOR), range(ACTUATOR)], 0.0)
         size = self.size[:ACTUATOR]
-        unexplained = np.abs(innovation[:, :ACTUATOR]) - 3.0 * self._usual
+        unexplained = np.abs(innovation[:, :ACTUATOR]) - 3.0 * self.usual
         begins = np.isnan(memory.before[:, :ACTUATOR])  # what is read first tells nothing of the model
         unexplained = size * np.where(faulty[:, :ACTUATOR] | begins, 0.0, unexplained)
         table = np.where(fits[:, None], readings[:, :ACTUATOR], size * state[:, :ACTUATOR])
@@ -219,7 +219,7 @@ class TableStateObserver:
         )
 
     @cached_property
-    def _usual(self) -> FloatArray:
+    def usual(self) -> FloatArray:
         """Rms of the innovations of x_A (4,) on the plant that is known, at rest."""
         A = self.A[:, :ACTUATOR]
         variance = np.diagonal(self.Q + (A * self.R[:ACTUATOR]) @ A.T)[:ACTUATOR]

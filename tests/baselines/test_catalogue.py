@@ -203,7 +203,7 @@ def test_lqr_as_published_needs_a_rate_of_kilohertz():
     above = {}
     for rate in (1000.0, 2000.0, 20_000.0):
         scenario = make_scenario("linear", {"control_rate": rate, "physics_step": 1.0 / rate})
-        row = make_baseline("lqr-continuous", scenario)._row[: scenario.plant.layout.order]
+        row = make_baseline("lqr-continuous", scenario).row[: scenario.plant.layout.order]
         gain = -row * scenario.current_limit / scenario.plant.state_scale
         if rate == 1000.0:
             with pytest.raises(NumericalError, match="unstable"):

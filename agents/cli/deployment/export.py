@@ -52,7 +52,7 @@ class Export(CommandOptions):
         """Write, and say what was written."""
         if self.file is not None and self.output is not None:
             raise ParameterError("output", str(self.output), "is given twice: leave one of them out")
-        if self.prefix is not None and not self.prefix.isidentifier():
+        if self.prefix is not None and not (self.prefix.isascii() and self.prefix.isidentifier()):
             raise ParameterError("prefix", self.prefix, "must be a C identifier, such as my_controller")
         target = self.file or self.output
         if self.to == "c":

@@ -1,4 +1,4 @@
-"""What a rehearsal leaves: its log, and a figure of latency and jitter."""
+"""What a rehearsal leaves: the log of its test, its periods one by one, and a figure of its times."""
 
 from __future__ import annotations
 
@@ -10,13 +10,34 @@ from pathlib import Path
 import numpy as np
 
 from agents.deployment.rehearsal.table import Rehearsal
+from agents.laboratory.logs.test_log import LEAST, TestLog, text_of_scenario
 from shake_env.files import write_text
+from shake_env.scenario.digest import scenario_digest
 
 
-def write_log(test: Rehearsal, path: str | os.PathLike[str]) -> Path:
-    """Write a test's log as CSV: names with units, then one row a control period; return the file.
+def recorded_log(test: Rehearsal, name: str) -> TestLog | None:
+    """Return a test as a laboratory's recorder would have logged it; None where it was too short."""
+    if len(test.samples) < LEAST:
+        return None
+    columns = np.array(test.samples, dtype=np.float64).T
+    return TestLog(
+        name=name,
+        sampling_interval=test.scenario.control_period,
+        channels={
+            channel: np.ascontiguousarray(column)
+            for channel, column in zip(test.channels, columns, strict=True)
+        },
+        scenario_text=text_of_scenario(test.scenario),
+        digest=scenario_digest(test.scenario),
+        source="rehearsal",
+        input_unit=test.scenario.input_unit,
+    )
 
-    All of a rehearsal's logs pass through here.
+
+def write_periods(test: Rehearsal, path: str | os.PathLike[str]) -> Path:
+    """Write a test's control periods as CSV: names with units, then one row each; return the file.
+
+    Times, modes, events and faults, which a log of a test has no channels for.
     """
     path = Path(path)
     text = io.StringIO()

@@ -10,8 +10,10 @@ from typing import Any
 
 from agents.deployment.rehearsal.controller_process import Runs, start_controller
 from agents.deployment.rehearsal.faults import CONTROLLER_DIES, SENSOR_STICKS, draw_faults
-from agents.deployment.rehearsal.log import draw_timing, write_log
+from agents.deployment.rehearsal.log import draw_timing, recorded_log, write_periods
 from agents.deployment.rehearsal.table import Rehearsal, TableProcess
+from agents.laboratory.logs.hdf5_file import library
+from agents.laboratory.logs.log_file import write_log
 from shake_env.errors import ParameterError
 from shake_env.motion.targets import FilteredNoise
 from shake_env.rollout import Earthquake, noise_earthquakes
@@ -71,7 +73,14 @@ def rehearse(
         For logs and the figure of the first test; None: nothing is written.
     on_progress
         Told the share of the work that is done.
+
+    Raises
+    ------
+    LogError
+        If logs are to be written and h5py is missing.
     """
+    if folder is not None:
+        library("h5py")
     earthquakes = _earthquakes(scenario, plan)
     periods = None if plan.seconds is None else round(plan.seconds / scenario.control_period)
     process = start_controller(name, scenario, plan.runs, plan.supervised)
@@ -92,7 +101,10 @@ def rehearse(
             )
             tests.append(test)
             if folder is not None:
-                write_log(test, folder / f"test-{number + 1}.csv")
+                write_periods(test, folder / f"test-{number + 1}.csv")
+                log = recorded_log(test, f"{name} {quake.name}")
+                if log is not None:
+                    write_log(log, folder / f"test-{number + 1}.h5")
             if number == 0 and folder is not None:
                 draw_timing(test, folder / "timing.png", table.deadline)
             if missing := unnoticed(test):
@@ -165,5 +177,6 @@ def _result(
         "events": dict(sorted(events.items())),
         "injected": dict(sorted(injected.items())),
         "unnoticed": missed,
+        "deadline_misses_not_injected": sum(test.own_misses() for test in tests),
         "first_test": tests[0].summary(),
     }

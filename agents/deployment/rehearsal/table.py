@@ -12,7 +12,7 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,7 @@ from shake_env.kernels.layout import REPORT
 from shake_env.model.parameters import FloatArray
 from shake_env.rollout import Earthquake
 from shake_env.scenario.limits import REASONS
+from shake_env.scenario.observation import STATE_SIGNALS
 from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.simulation import Simulation
 
@@ -49,6 +50,7 @@ TIMES = (
     "time [s]", "sequence [-]", "jitter [us]", "latency [us]", "asked [A]", "current [A]",
 )  # fmt: skip
 
+NO_COMMAND = "no command in time"
 TEXTS = ("mode", "events", "injected")
 
 
@@ -56,10 +58,11 @@ TEXTS = ("mode", "events", "injected")
 class Rehearsal:
     """What a rehearsed test was."""
 
-    scenario: str
-    period: float  # [s]
+    scenario: Scenario  # with the test's motion
     columns: tuple[str, ...]  # of `rows`, names with units
     rows: list[list[Any]] = field(default_factory=list)  # one a control period
+    channels: tuple[str, ...] = ()  # of `samples`: those that a laboratory's recorder measures
+    samples: list[list[float]] = field(default_factory=list)  # at each period's end [SI]
     events: Counter[str] = field(default_factory=Counter)  # what the table noticed
     injected: Counter[str] = field(default_factory=Counter)  # what the plan of faults did
     broken_limit: str | None = None
@@ -68,6 +71,16 @@ class Rehearsal:
         """Return a column of numbers; NaN where a period has none."""
         place = [text.split(" [")[0] for text in self.columns].index(name)
         return np.array([np.nan if row[place] == "" else float(row[place]) for row in self.rows])
+
+    def own_misses(self) -> int:
+        """Return the periods without a command in time that no injected fault explains."""
+        injected, events = (self.columns.index(name) for name in ("injected", "events"))
+        alive, count = True, 0
+        for row in self.rows:
+            alive = alive and CONTROLLER_DIES not in row[injected]
+            explained = not alive or any(fault in row[injected] for fault in LINK_FAULTS)
+            count += NO_COMMAND in row[events] and not explained
+        return count
 
     def summary(self) -> dict[str, Any]:
         """Return counts, and quantiles of latency and jitter [us], as plain values."""
@@ -81,11 +94,12 @@ class Rehearsal:
             return {"median_us": float(median), "p99_us": float(high), "worst_us": float(most)}
 
         return {
-            "scenario": self.scenario,
+            "scenario": self.scenario.name,
             "periods": len(self.rows),
-            "period": self.period,
+            "period": self.scenario.control_period,
             "broken_limit": self.broken_limit,
-            "deadline_misses": self.events["no command in time"],
+            "deadline_misses": self.events[NO_COMMAND],
+            "deadline_misses_not_injected": self.own_misses(),
             "events": dict(sorted(self.events.items())),
             "injected": dict(sorted(self.injected.items())),
             "latency": quantiles(latency),
@@ -127,6 +141,14 @@ class TableProcess:
         self.deadline = usual if deadline is None else deadline
         self._channels = observation_channels(scenario)
         self._scales = np.array([channel.scale for channel in self._channels])
+        shown, full = scenario.observation, scenario.sensing.full_state
+        measured = tuple(STATE_SIGNALS) if full else shown.reading_names
+        first = scenario.plant.layout.actuator.start
+        places = [first + place for place in STATE_SIGNALS.values()]
+        self._measured = places if full else [*range(shown.readings.start, shown.readings.stop)]
+        # With the full state, acceleration and base shear are the table's own.
+        self._added = ("table_acceleration", "base_shear") if full else ()
+        self._recorded = ("target_acceleration", "current", *self._added, *measured)
         self._simulation = Simulation(scenario, 1)
         self._exported = ExportedTable(scenario, self._simulation) if exported else None
         self._tests = 0
@@ -158,7 +180,8 @@ class TableProcess:
         names = [f"{channel.identifier} [{channel.unit}]" for channel in self._channels]
         signals = [f"{name} [{unit}]" for name, unit in SIGNALS.items()]
         columns = (*TIMES, *TEXTS, *signals, *(f"shown {name}" for name in names))
-        test = Rehearsal(self.scenario.name, self.scenario.control_period, columns)
+        driven = replace(self.scenario, motion=earthquake.motion)
+        test = Rehearsal(driven, columns, channels=self._recorded)
         simulation.step(np.zeros(1))  # compile and load before the clock runs
         observation = simulation.start(
             [0], [np.random.default_rng(earthquake.seed)], [earthquake.motion]
@@ -193,6 +216,23 @@ class TableProcess:
         signals = [float(result.report[place, 0]) for place in _PLACES]
         return result.observation[0].astype(float), signals, broken, bool(result.truncated[0])
 
+    def sample(self, observation: FloatArray, signals: Sequence[float], current: float) -> list[float]:
+        """Return what a recorder takes at a period's end, in the order of a test's channels.
+
+        Parameters
+        ----------
+        observation
+            (n,) that is shown at its end.
+        signals
+            Of the table, at its end (`SIGNALS`).
+        current
+            [A] held over it.
+        """
+        own = dict(zip(SIGNALS, signals, strict=True))
+        readings = self.measured(observation)[self._measured].tolist()
+        added = [own[name] for name in self._added]
+        return [own["target_acceleration"], current, *added, *readings]
+
     def measured(self, observation: FloatArray) -> FloatArray:
         """Return an observation in SI."""
         measured: FloatArray = observation * self._scales
@@ -221,6 +261,7 @@ class _Periods:
         table, test, period = self._table, self._test, self._table.scenario.control_period
         began = time.perf_counter() + period
         shown_at = began
+        ended: tuple[list[float], float] | None = None  # signals and current of the last period
         for k in range(count):
             planned = began + k * period
             if table.paced:
@@ -232,7 +273,10 @@ class _Periods:
                 table.controller.kill()
                 test.injected[CONTROLLER_DIES] += 1
                 injected.append(CONTROLLER_DIES)
-            shown = self._stick(observation, k, injected)
+            self._begin_sticking(observation, k, injected)
+            shown = self._stuck_at(observation, k)
+            if ended is not None:
+                test.samples.append(table.sample(shown, *ended))
             flags = BEGINS if k == 0 else 0
             channels = table.measured(shown)
             measurement = Datagram(MEASUREMENT, k, k * period, channels, flags, table.test)
@@ -244,12 +288,13 @@ class _Periods:
             for sensor in self._guard.faulty:
                 self._note(f"faulty sensor {sensor}")
             if command is None:
-                self._note("no command in time")
+                self._note(NO_COMMAND)
             if mode != "command":
                 self._note(mode)
             if table.paced and jitter > table.deadline:
                 self._note("table late")
             observation, signals, broken, ends = table.step(current)
+            ended = signals, current
             test.rows.append([
                 k * period, k, 1e6 * jitter, "" if latency is None else 1e6 * latency,
                 "" if command is None else command, current, mode, "; ".join(self._happened),
@@ -262,20 +307,25 @@ class _Periods:
             if now - shown_at > 0.5:
                 shown_at = now
                 on_period((k + 1) / count)
+        if ended is not None:
+            test.samples.append(table.sample(self._stuck_at(observation, len(test.rows)), *ended))
         test.injected += self._link.injected
 
     def _note(self, event: str) -> None:
         self._happened.append(event)
         self._test.events[event] += 1
 
-    def _stick(self, observation: FloatArray, k: int, injected: list[str]) -> FloatArray:
-        """Return the observation with the readings that stick as they were."""
+    def _begin_sticking(self, observation: FloatArray, k: int, injected: list[str]) -> None:
+        """Let the sensor stick that is to stick from this period on."""
         readings = self._table.scenario.observation.readings
         if k in self._sticks:
             place = readings.start + self._sticks[k]
             self._stuck[place] = (k + STUCK_PERIODS, float(observation[place]))
             self._test.injected[SENSOR_STICKS] += 1
             injected.append(SENSOR_STICKS)
+
+    def _stuck_at(self, observation: FloatArray, k: int) -> FloatArray:
+        """Return the observation of a period with the readings that stick as they were."""
         shown = observation.copy()
         for place, (until, value) in self._stuck.items():
             if k < until:
@@ -288,9 +338,10 @@ class _Periods:
         answer: tuple[float | None, float | None] = (None, None)
         while True:
             now = time.perf_counter()
+            if now >= until:  # what is found from now on is late, and told by its number
+                return answer
             self._link.flush(now)
-            # However late this loop wakes: what is due after the deadline is late.
-            arrived = self._link.overdue(min(now, until))
+            arrived = self._link.overdue(now)
             while True:
                 try:
                     data = self._endpoint.recv(65536)
@@ -304,7 +355,7 @@ class _Periods:
                 taken = self._take(data, k)
                 if taken is not None:
                     answer = (taken, now - sent)
-            if answer[0] is not None or now >= until:
+            if answer[0] is not None:
                 return answer
             select.select([self._endpoint], [], [], max(0.0, min(until - now, 0.0005)))
 

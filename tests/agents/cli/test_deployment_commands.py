@@ -40,7 +40,12 @@ def test_export_writes_the_table_as_an_fmu(tmp_path, capsys):
         (["lqg", "--to", "fmu"], "output = None: must end in .fmu"),
         (["apg", "x.onnx", "--output", "y.onnx"], "is given twice"),
         (["pid", "--to", "c", "--prefix", "1st"], "C identifier"),
-        (["mpc", "--scenario", "laboratory", "--to", "c", "--output", "{}"], "no C form"),
+        (["pid", "--to", "c", "--prefix", "é"], "C identifier"),
+        (["pid", "--to", "c", "--prefix", "output_feedback", "--output", "{}"], "choose another"),
+        (
+            ["mpc", "--scenario", "laboratory", "--to", "c", "--output", "{}"],
+            "no C form: it solves",
+        ),
         (["lqg", "--to", "c", "--output", "{}"], "nothing to estimate"),
     ],
 )
@@ -56,7 +61,7 @@ def test_rehearse_counts_and_logs(tmp_path, capsys):
     )  # fmt: skip
     assert found["hard_limits_broken"] == 0 and found["unnoticed"] == []
     assert set(found["injected"]) == {"lost", "corrupt"}
-    assert (tmp_path / "log" / "test-1.csv").is_file()
+    assert (tmp_path / "log" / "test-1.csv").is_file() and (tmp_path / "log" / "test-1.h5").is_file()
 
 
 def test_an_unknown_fault_is_named(capsys):

@@ -8,15 +8,19 @@ import numpy as np
 import pytest
 
 from agents.deployment.channels import identifier, observation_channels
+from agents.deployment.rehearsal.controller_process import start_controller
 from agents.deployment.rehearsal.datagram import BEGINS, COMMAND, MEASUREMENT, Datagram, unpack
 from agents.deployment.rehearsal.faults import FAULTS, LINK_FAULTS, FaultyLink, draw_faults
 from agents.deployment.rehearsal.guard import HoldThenBrake
-from agents.deployment.rehearsal.log import draw_timing, write_log
+from agents.deployment.rehearsal.log import draw_timing, recorded_log, write_periods
 from agents.deployment.rehearsal.rehearse import RehearsalPlan, rehearse, unnoticed
-from agents.deployment.rehearsal.table import Rehearsal
+from agents.deployment.rehearsal.table import Rehearsal, TableProcess
+from agents.laboratory.logs.findings import findings
+from agents.laboratory.logs.log_file import read_log
+from agents.laboratory.logs.recorder import LogRecorder
 from shake_env import make_scenario
 from shake_env.errors import ParameterError, ShakeError
-from shake_env.rollout import noise_earthquakes
+from shake_env.rollout import noise_earthquakes, rollout
 from shake_env.simulation.simulation import Simulation
 
 needs_compiler = pytest.mark.skipif(
@@ -168,49 +172,67 @@ def test_c_survives_every_fault_and_each_is_noticed(tmp_path):
     with (tmp_path / "test-1.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 200
-    assert "table_displacement [m]" in rows[0] and rows[0]["mode"] == "command"
+    assert "table_displacement [m]" in rows[0] and "command" in {row["mode"] for row in rows}
     assert any(row["injected"] == "controller dies" for row in rows)
     assert (tmp_path / "timing.png").is_file()
+    log = read_log(tmp_path / "test-1.h5")
+    assert log.samples == 200 and log.scenario.specimen == make_scenario("laboratory").specimen
+    np.testing.assert_allclose(
+        log.channels["current"], [float(row["current [A]"]) for row in rows], rtol=1e-8
+    )
+    # What the controller is shown in a period is what a recorder takes at the end of the one before.
+    shown = [float(row["shown measured_table_displacement [m]"]) for row in rows]
+    np.testing.assert_allclose(log.channels["table_displacement"][:-1], shown[1:], rtol=1e-8)
+    assert any(each.kind == "stuck" for each in findings(log))  # the sensor that stuck, as in any log
 
 
 @needs_compiler
-def test_without_faults_the_rehearsal_is_the_simulation():
-    """The same currents as the controller gives in a roll-out: nothing is lost on the way."""
+@pytest.mark.parametrize("name", ["laboratory", "linear"])
+def test_without_faults_the_rehearsal_is_the_simulation(name):
+    """The same currents as the controller gives in a roll-out, and the same log: nothing is lost."""
     from agents.deployment.recorded import record_decisions
     from baselines.registry import make_baseline
 
-    scenario = make_scenario("laboratory")
-    plan = RehearsalPlan(seconds=0.5, paced=False)
-    from agents.deployment.rehearsal.controller_process import start_controller
-    from agents.deployment.rehearsal.table import TableProcess
-
+    scenario = make_scenario(name, {"duration": 0.5})
+    quakes = noise_earthquakes(scenario, 1)
     process = start_controller("pid", scenario, "c", supervised=False)
     try:
-        table = TableProcess(scenario, process, paced=plan.paced, deadline=5.0)
-        test = table.run(noise_earthquakes(scenario, 1)[0], (), 100)
+        table = TableProcess(scenario, process, paced=False, deadline=5.0)
+        test = table.run(quakes[0])
     finally:
         process.close()
-    decisions = record_decisions(
-        make_baseline("pid", scenario), scenario, noise_earthquakes(scenario, 1), 100
-    )
+    controller, recorder = make_baseline("pid", scenario), LogRecorder(scenario, quakes)
+    decisions = record_decisions(controller, scenario, quakes)
+    rollout(controller, scenario, quakes, log=recorder)
     assert test.events == Counter()
     np.testing.assert_allclose(
         test.column("current") / scenario.current_limit, decisions.actions[:, 0], atol=2e-7
     )
+    ours, theirs = recorded_log(test, "rehearsed"), recorder.logs()[0]
+    assert ours.digest == theirs.digest and set(ours.channels) == set(theirs.channels)
+    for channel, values in theirs.channels.items():  # states are shown in float32
+        scale = np.abs(values).max()
+        np.testing.assert_allclose(ours.channels[channel] / scale, values / scale, atol=1e-5)
+
+
+def test_a_test_of_a_few_periods_leaves_no_log():
+    assert recorded_log(Rehearsal(make_scenario("laboratory"), ("mode",)), "short") is None
 
 
 @needs_compiler
-def test_the_exported_table_takes_the_simulated_ones_place(tmp_path):
+def test_the_exported_table_takes_the_simulated_ones_place():
     """Both programs in C: the same test, but for the order in which noise and rounding come."""
-    scenario, columns = make_scenario("laboratory"), []
-    for table in ("python", "c"):
-        folder = tmp_path / table
-        plan = RehearsalPlan(seconds=1.0, paced=False, table=table, hold=200)
-        found = rehearse("pid", scenario, plan, folder)
-        assert found["table"] == table and found["hard_limits_broken"] == 0
-        with (folder / "test-1.csv").open(encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        columns.append([float(row["table_velocity [m/s]"]) for row in rows])
+    scenario = make_scenario("laboratory", {"duration": 1.0})
+    quake, columns = noise_earthquakes(scenario, 1)[0], []
+    process = start_controller("pid", scenario, "c", supervised=False)
+    try:
+        for exported in (False, True):
+            table = TableProcess(scenario, process, paced=False, deadline=5.0, exported=exported)
+            test = table.run(quake)
+            assert test.broken_limit is None and test.events == Counter()
+            columns.append(test.column("table_velocity"))
+    finally:
+        process.close()
     simulated, exported = np.array(columns)
     assert np.std(exported) > 0.003  # m/s, in the first second
     assert np.max(np.abs(exported - simulated)) < 0.02 * np.max(np.abs(simulated))
@@ -238,8 +260,12 @@ def test_a_hundred_tests_with_faults_break_no_limit(name):
 def test_a_fault_that_nobody_noticed_is_named():
     columns = ("mode", "events", "injected")
     rows = [["command", "", "command lost"], ["hold", "no command in time; hold", "measurement late"]]
-    test = Rehearsal("laboratory", 0.005, columns, rows)
+    test = Rehearsal(make_scenario("laboratory"), columns, rows)
     assert unnoticed(test) == ["command lost in period 0"]
+    assert test.own_misses() == 0  # the one miss was injected
+    rows += [["hold", "no command in time; hold", ""], ["command", "", "controller dies"]]
+    rows += [["hold", "no command in time; hold", ""]]
+    assert test.own_misses() == 1  # the first of these, before the controller died
 
 
 def test_a_plan_out_of_range_is_refused():
@@ -256,7 +282,7 @@ def test_a_controller_that_has_no_c_form_is_refused():
 def test_log_and_figure_of_a_made_test(tmp_path):
     columns = ("time [s]", "jitter [us]", "latency [us]", "mode")
     rows = [[0.0, 3.0, 40.0, "command"], [0.005, 2.0, "", "hold"]]
-    test = Rehearsal("laboratory", 0.005, columns, rows)
-    text = write_log(test, tmp_path / "log.csv").read_text(encoding="utf-8")
+    test = Rehearsal(make_scenario("laboratory"), columns, rows)
+    text = write_periods(test, tmp_path / "log.csv").read_text(encoding="utf-8")
     assert text == "time [s],jitter [us],latency [us],mode\n0,3,40,command\n0.005,2,,hold\n"
     assert draw_timing(test, tmp_path / "timing.png", 0.0025).stat().st_size > 5000

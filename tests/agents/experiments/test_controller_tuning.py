@@ -133,8 +133,8 @@ def test_kept_results_are_what_the_registry_takes(bench, tmp_path, monkeypatch):
     found = tune("scaled", SHORT, tmp_path / "t.db", budget=3 * 800, earthquakes=8)
     keep_tuned_values(found, file)
     monkeypatch.setattr(registry, "packaged_values", lambda: read_tuned(file))
-    row = make_baseline("scaled", SHORT)._row
-    expected = scaled_lqr(SHORT, **found.parameters)._row
+    row = make_baseline("scaled", SHORT).row
+    expected = scaled_lqr(SHORT, **found.parameters).row
     np.testing.assert_array_equal(row, expected)
     with pytest.raises(ScenarioError, match="parameter of scaled"):
         make_baseline("scaled", SHORT, {"shar": 1.0})

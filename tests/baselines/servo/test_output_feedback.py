@@ -148,7 +148,7 @@ def test_closed_loop_response_is_what_a_simulated_sine_shows():
     loop = SampledClosedLoop(NominalTable.of(scenario), pid_law(gains, scenario.control_period))
     controller, simulation = pid(scenario, gains), Simulation(scenario, 1)
     simulation.start([0], [np.random.default_rng(0)])
-    reader_rows = SignalReader(scenario)._rows[:4, 5:]  # x_W to target signals
+    reader_rows = SignalReader(scenario).rows[:4, 5:]  # x_W to target signals
     omega, memory, found = 2.0 * np.pi * frequency, None, []
     observation = np.zeros((1, scenario.observation.size))
     steps, period = 3000, scenario.control_period

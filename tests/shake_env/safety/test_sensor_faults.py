@@ -35,7 +35,7 @@ SHORT = (
 def without_observer(controller, scenario):
     """A supervisor that believes every reading, and knows of no misfit."""
     supervised = Supervised(controller, scenario)
-    observer = supervised._observer
+    observer = supervised.observer
 
     class Credulous:
         channels = observer.channels
@@ -52,7 +52,7 @@ def without_observer(controller, scenario):
             )
             return faultless, replace(memory, misfit=0.0 * memory.misfit)
 
-    supervised._observer = Credulous
+    supervised.observer = Credulous
     return supervised
 
 
