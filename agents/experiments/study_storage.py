@@ -63,12 +63,16 @@ def open_study(storage: str | PathLike[str], name: str) -> tuple[Any, bool]:
 
 def _own_file(file: Path) -> Any:
     import optuna
+    import sqlalchemy.pool
 
     with file_errors(file):
         file.parent.mkdir(parents=True, exist_ok=True)
     _require_own(file)
-    # A URL would give ?, # and % of a path another meaning.
-    connect = {"creator": lambda: sqlite3.connect(file, timeout=60.0, check_same_thread=False)}
+    # A URL would give ?, # and % of a path another meaning. A pool would keep connections open.
+    connect = {
+        "creator": lambda: sqlite3.connect(file, timeout=60.0, check_same_thread=False),
+        "poolclass": sqlalchemy.pool.NullPool,
+    }
     return optuna.storages.RDBStorage("sqlite:///by-creator", engine_kwargs=connect)
 
 

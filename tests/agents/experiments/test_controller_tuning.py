@@ -6,12 +6,11 @@ import sqlite3
 from contextlib import closing
 
 import numpy as np
-import optuna
 import pytest
 
 from agents.__main__ import main
 from agents.experiments.controller_tuning import FAILED, keep_tuned_values, search, tune
-from agents.experiments.study_storage import storage_errors
+from agents.experiments.study_storage import open_study, storage_errors
 from baselines import registry
 from baselines.baseline import Baseline, Tunable
 from baselines.catalogue import BASELINES
@@ -121,7 +120,7 @@ def test_a_search_that_was_cut_in_its_first_trial_keeps_the_defaults_cost(tmp_pa
     assert resumed.default_cost == whole.default_cost == 16.0
     assert (resumed.trials, resumed.cost, resumed.parameters) == (total, whole.cost, whole.parameters)
     # Cut in the second one, too, and as earlier versions left it: the others queued, the first lost.
-    study = optuna.create_study(study_name="queued", storage=f"sqlite:///{tmp_path / 't.db'}")
+    study, _ = open_study(tmp_path / "t.db", "queued")
     for start in starts:
         study.enqueue_trial(start)
     study.ask()

@@ -1,6 +1,6 @@
 """Identification: the model that is fitted is the simulated one, and it finds what was put in."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -184,7 +184,9 @@ def test_a_posterior_is_a_file_and_a_scenarios_uncertainty(tmp_path):
     again = read_posterior(tmp_path / "posterior.json")
     np.testing.assert_allclose(again.points, posterior.points, rtol=1e-12, atol=1e-12)
     assert again.logs == ((log.name, log.sha256),)
-    assert replace(again, points=posterior.points) == replace(posterior, points=posterior.points)
+    for field in fields(posterior):
+        if field.name != "points":  # an array
+            assert getattr(again, field.name) == getattr(posterior, field.name)
     (tmp_path / "test.toml").write_text(
         'schema = 1\nbase = "laboratory"\n[uncertainty.posterior]\npath = "posterior.json"\n'
     )

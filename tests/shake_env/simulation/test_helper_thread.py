@@ -65,14 +65,13 @@ def test_nobody_waits_for_a_helper_that_is_late():
 
 
 def test_threads_end_with_what_they_help():
-    before = threading.active_count()
+    before = set(threading.enumerate())
     run = helpers(lambda first, last: 0, 3, [0, 1, 2])
     run()
-    assert threading.active_count() == before + 2
+    own = set(threading.enumerate()) - before
+    assert len(own) == 2
     del run
     gc.collect()
-    for _ in range(200):
-        if threading.active_count() == before:
-            break
-        time.sleep(0.01)
-    assert threading.active_count() == before
+    for thread in own:
+        thread.join(timeout=10.0)
+    assert not any(thread.is_alive() for thread in own)
