@@ -251,7 +251,11 @@ def create_run_directory(run: Path, fill: Callable[[Path], None]) -> None:
             return
         run.parent.mkdir(parents=True, exist_ok=True)
         partial = run.with_name(f".{run.name}.{os.getpid()}.partial")
-        partial.mkdir(exist_ok=True)
+        try:
+            partial.mkdir(exist_ok=True)
+        except OSError as error:
+            error.filename = str(run)  # the name that was given
+            raise
         try:
             fill(partial)
             partial.rename(run)

@@ -265,7 +265,7 @@ def single_action(action: Any) -> float:
     ActionError
         If the action has another shape or is not finite.
     """
-    if type(action) is np.ndarray:
+    if type(action) is np.ndarray and action.dtype.kind in "fiub":
         try:
             (value,) = action.tolist()
             if isfinite(value):

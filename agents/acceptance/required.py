@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from shake_env.errors import FileError, ParameterError, unknown
+from shake_env.errors import FileError, ParameterError, RecordError, unknown
 from shake_env.model.parameters import GRAVITY
+from shake_env.records import file_content
 
 FloatArray = NDArray[np.float64]
 
@@ -154,8 +155,8 @@ def read_required_spectrum(
     if units not in factors:
         raise unknown(ParameterError, "units", units, factors)
     try:
-        lines = Path(file).read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        lines = file_content(Path(file)).decode("utf-8-sig").splitlines()
+    except (RecordError, UnicodeDecodeError) as error:
         raise FileError("required spectrum", str(file), f"cannot be read: {error}") from None
     rows = []
     for number, line in enumerate(lines, start=1):

@@ -55,7 +55,7 @@ class Benchmark(CommandOptions):
 
         require_names(self.controllers)
         if not self.scenarios:
-            raise ParameterError("scenarios", "none", f"name at least one of {', '.join(NAMED)}")
+            raise ParameterError("scenarios", self.scenarios, f"name at least one of {', '.join(NAMED)}")
         require_writable(self.results, "results")
         labels = [scenario_label(name) for name in self.scenarios]
         if len({*labels}) < len(labels):

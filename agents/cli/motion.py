@@ -15,6 +15,7 @@ from rich.markup import escape
 import shake_env
 from agents.acceptance.options import AcceptanceOptions
 from agents.cli.command_options import CommandOptions
+from agents.cli.output_path import require_writable, require_writable_file
 from agents.motions.channels import Channel, MotionOptions, _beyond, channels, how_a_file_was_read
 from agents.reporting.terminal import print_table
 from agents.scenario_options import ScenarioOptions
@@ -55,11 +56,13 @@ class Motion(CommandOptions):
         from agents.motions.figure import draw_channels
 
         scenario = self.scenario.build()
+        folder = self.output or (None if self.json else Path("out/motion"))
+        if folder is not None:
+            require_writable(folder, "output")
         entries = channels(self.file, self.options, scenario)
         described = [channel.to_json() for channel in entries]
         capacity = self.options.capacity(scenario)
         print_channels(self.file, entries, described, capacity, console)
-        folder = self.output or (None if self.json else Path("out/motion"))
         if folder is not None:
             for path in draw_channels(entries, capacity, folder, self.file.name):
                 console.print(escape(f"wrote {path}"))
@@ -159,12 +162,15 @@ class Accept(CommandOptions):
         from agents.acceptance.clauses import accept
         from agents.acceptance.matching import compatible_motion
 
+        if self.output is not None:
+            require_writable(self.output, "output")
         required, rules = self.acceptance.required(), self.acceptance.rules
         if required is None:
             raise ParameterError("spectrum", None, "name ac156, ieee693 or a file")
         if self.make is not None:
             if self.files:
                 raise ParameterError("make", str(self.make), "reads no files: leave them out")
+            require_writable_file(self.make, "make")
             records = [compatible_motion(required, rules, seed=self.seed)]
             _write(records[0], self.make)
             console.print(escape(f"wrote {self.make}"))

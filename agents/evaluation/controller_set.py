@@ -144,7 +144,7 @@ def _arrived(
 def require_names(names: Sequence[str]) -> None:
     """Raise ParameterError where no controller is named."""
     if not names or not all(names):
-        raise ParameterError("controllers", "none", "name at least one, such as lqr, or all")
+        raise ParameterError("controllers", tuple(names), "name at least one, such as lqr, or all")
 
 
 def describe_values(values: Mapping[str, Mapping[str, Any]]) -> str:

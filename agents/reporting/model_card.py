@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -13,6 +12,7 @@ from agents.reporting.evaluation_tables import interval
 from agents.reporting.figures.training_curve import draw_training_curve
 from agents.reporting.markdown_blocks import markdown_table
 from agents.reporting.robustness_tables import read_robustness, robustness_findings
+from agents.run_directory import read_json
 from agents.scenario_options import given_options
 from shake_env.errors import ParameterError
 from shake_env.files import write_text
@@ -89,10 +89,7 @@ def robustness_of(file: str | PathLike[str], sha: str) -> list[str]:
 
 
 def _read(results: Sequence[Path]) -> list[tuple[Path, dict[str, Any]]]:
-    try:
-        return [(path, json.loads(path.read_text(encoding="utf-8"))) for path in results]
-    except (OSError, json.JSONDecodeError) as error:
-        raise ParameterError("result", str(results), f"cannot be read ({error})") from error
+    return [(path, read_json(path, ParameterError, "result")) for path in results]
 
 
 def _row(result: dict[str, Any], path: Path, sha: str) -> dict[str, Any]:

@@ -75,6 +75,7 @@ def verdict(comparison: Comparison, scenario: Scenario, label: Callable[[str], s
         "percent": _percent,
         "reference": comparison.reference,
         "near": NEAR,
+        "reference_spread": math.isfinite(candidates[0].relative_cost_low),
         "where": _count(candidates[0].earthquakes, group),
         **_rivals(comparison, candidates, group),
         **_limits(candidates[0], scenario),
@@ -114,7 +115,10 @@ def _rivals(comparison: Comparison, candidates: list[GroupSummary], group: str) 
         if _percent(mine) != _percent(best_of_all):
             larger.append((what, mine, best_of_all, leader.controller))
     second = others[0] if others else None
-    return dict(best=best, second=second, gain=gain, ahead=ahead, lost=lost, larger=larger)
+    return dict(
+        best=best, second=second, gain=gain, spread=math.isfinite(gain[1]), ahead=ahead, lost=lost,
+        larger=larger,
+    )  # fmt: skip
 
 
 def _limits(best: GroupSummary, scenario: Scenario) -> dict[str, Any]:

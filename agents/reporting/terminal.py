@@ -30,6 +30,10 @@ class OutputConsole(Console):
         with display.suspended():
             super().print(*objects, **options)
 
+    def on_broken_pipe(self) -> None:
+        """Let the caller end, where rich would end the program with 1, which says that a run failed."""
+        raise BrokenPipeError
+
 
 def print_table(
     console: Console,

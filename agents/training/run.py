@@ -103,6 +103,8 @@ def resume(
 ) -> TrainResult:
     """Go on with an interrupted run, exactly as if it had not been interrupted; see :func:`train`.
 
+    Of a finished run it returns the result, and changes nothing.
+
     Raises
     ------
     RunDirectoryError
@@ -111,7 +113,7 @@ def resume(
     run = Path(run)
     config = read_config(run)
     with locked_folder(run), file_errors(run):
-        return _train_on(config, run, report, command)
+        return read_result(run) if finished(run) else _train_on(config, run, report, command)
 
 
 def train_or_resume(

@@ -31,7 +31,7 @@ from shake_env.model.plant import (
 )
 from shake_env.model.ranges import Range, check, check_ranges, is_number
 from shake_env.model.resolution import check_resolution
-from shake_env.model.specimens import read_specimen, specimen_from_matrices, specimen_from_modes
+from shake_env.model.specimens import specimen_from_matrices, specimen_from_modes
 
 __all__ = [
     "Actuator",
@@ -63,7 +63,6 @@ __all__ = [
     "ground_filter",
     "is_number",
     "noise_covariance",
-    "read_specimen",
     "require_non_negative",
     "require_positive",
     "specimen_from_matrices",

@@ -1,4 +1,4 @@
-"""Structures that are no chain of storeys: from mass and stiffness matrices, files, or measured modes.
+"""Structures that are no chain of storeys: from mass and stiffness matrices or measured modes.
 
 ``M x_r'' + C x_r' + K x_r = -M 1 y_A``: floors move in the table's direction, relative to it. The base
 shear is the sum of the inertia forces, ``f_s = 1'K x_r + 1'C x_r'``.
@@ -6,17 +6,13 @@ shear is the sum of the inertia forces, ``f_s = 1'K x_r + 1'C x_r'``.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.io import loadmat
 from scipy.linalg import eigh
 
-from shake_env.errors import FileError, ParameterError
+from shake_env.errors import ParameterError
 from shake_env.model.parameters import FloatArray, Specimen, unchecked
 
 COUPLING = 0.2  # largest share of one measured shape in another, in the masses' measure
@@ -126,37 +122,6 @@ def specimen_from_modes(
     return _coupled(np.diag(m), K, C)
 
 
-def read_specimen(file: str | os.PathLike[str], **damping: Any) -> Specimen:
-    """Return the structure of a MAT or CSV file that holds M, K and perhaps C.
-
-    A MAT file (up to version 7) has variables of these names, of either case. In a CSV file each matrix
-    follows a line with its name alone, one row a line; ``#`` begins a remark.
-
-    Parameters
-    ----------
-    file
-        Path.
-    damping
-        `damping_ratio` or `rayleigh` of `specimen_from_matrices`, where the file has no C.
-
-    Raises
-    ------
-    FileError
-        If the file cannot be read, or has no M or K.
-    ParameterError
-        If the matrices are no structure's.
-    """
-    path = Path(file)
-    try:
-        matrices = _mat(path) if path.suffix.lower() == ".mat" else _csv(path)
-    except (OSError, ValueError, RuntimeError, TypeError) as error:  # scipy's RuntimeError: MAT 7.3
-        raise FileError("specimen file", str(path), f"cannot be read: {error}") from None
-    for name in ("M", "K"):
-        if name not in matrices:
-            raise FileError("specimen file", str(path), f"has no matrix {name}")
-    return specimen_from_matrices(matrices["M"], matrices["K"], matrices.get("C"), **damping)
-
-
 def damped_specimen(specimen: Specimen) -> Specimen:
     """Return a specimen of which every storey, or every mode of a coupled one, has 1 % of damping."""
     if not specimen.coupled:
@@ -167,26 +132,6 @@ def damped_specimen(specimen: Specimen) -> Specimen:
     missing = 0.02 * np.sqrt(squares) - np.einsum("im,ij,jm->m", shapes, C, shapes)
     weighed = M @ shapes
     return unchecked(specimen, coupled_dampings=C + (weighed * np.maximum(missing, 0.0)) @ weighed.T)
-
-
-def _mat(path: Path) -> Mapping[str, Any]:
-    return {name.upper(): value for name, value in loadmat(path, variable_names=list("MKCmkc")).items()}
-
-
-def _csv(path: Path) -> Mapping[str, Any]:
-    matrices: dict[str, list[list[float]]] = {}
-    rows: list[list[float]] | None = None
-    for number, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), start=1):
-        text = line.partition("#")[0].replace(";", ",").strip().strip(",")
-        if not text:
-            continue
-        if text.upper() in ("M", "K", "C"):
-            rows = matrices.setdefault(text.upper(), [])
-        elif rows is None:
-            raise ValueError(f"line {number} stands before the name of a matrix: M, K or C")
-        else:
-            rows.append([float(value) for value in text.replace(",", " ").split()])
-    return matrices
 
 
 def _matrix(values: ArrayLike) -> FloatArray:

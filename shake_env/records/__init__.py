@@ -1,4 +1,4 @@
-"""Recorded components: six that come with the package, and readers of the formats that hold others.
+"""Recorded components that come with the package, and readers of files of motions and structures.
 
 The six are public-domain (CC0) records distributed by CESMD, which asks for attribution: keep it with
 the data.
@@ -11,8 +11,9 @@ from importlib import resources
 
 from shake_env.errors import RecordError, unknown
 from shake_env.records.formats.embedded import parse_record, write_record
-from shake_env.records.motion_file import parse_motion, read_motion
+from shake_env.records.motion_file import file_content, parse_motion, read_motion
 from shake_env.records.record import Record
+from shake_env.records.specimen_file import read_specimen
 
 RECORD_NAMES = (
     "napa2014_68150_hne",
@@ -41,9 +42,11 @@ def load_record(name: str) -> Record:
 __all__ = [
     "RECORD_NAMES",
     "Record",
+    "file_content",
     "load_record",
     "parse_motion",
     "parse_record",
     "read_motion",
+    "read_specimen",
     "write_record",
 ]

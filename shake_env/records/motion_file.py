@@ -138,7 +138,7 @@ def read_motion(
         raise ParameterError("path", path, "must be a str or os.PathLike[str]") from None
     records = parse_motion(
         path.name,
-        _content(path),
+        file_content(path),
         units=units,
         sampling_interval=sampling_interval,
         column=column,
@@ -152,8 +152,14 @@ def read_motion(
     return tuple(replace(r, name=path.stem + r.name.removeprefix(path.name)) for r in records)
 
 
-def _content(path: Path) -> bytes:
-    """Return the bytes of a regular file; whatever else stands there is not opened."""
+def file_content(path: Path) -> bytes:
+    """Return the bytes of a regular file of at most `LARGEST_FILE`.
+
+    Raises
+    ------
+    RecordError
+        If it is larger, cannot be read, or is a folder, a pipe or a device, which is not opened.
+    """
     try:
         _check_door(path, os.stat(path))
         flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)

@@ -13,10 +13,10 @@ from typing import Any
 
 from shake_env.errors import ParameterError, RecordError
 from shake_env.model.parameters import Actuator, Specimen
-from shake_env.model.specimens import read_specimen, specimen_from_matrices, specimen_from_modes
+from shake_env.model.specimens import specimen_from_matrices, specimen_from_modes
 from shake_env.motion.processing import fit_amplitude, remove_baseline
 from shake_env.motion.targets import RecordedMotion
-from shake_env.records import read_motion
+from shake_env.records import read_motion, read_specimen
 from shake_env.scenario.capacity import scenario_capacity
 from shake_env.scenario.plants.samples import read_samples
 from shake_env.scenario.scenario import Scenario

@@ -7,6 +7,7 @@ import resource
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -118,6 +119,20 @@ for name, write in {{
     assert out.stderr == ""
     assert out.stdout.split() == ["figure.png", "rows.csv", "record.csv", "events"]
     assert [each.name for each in tmp_path.iterdir()] == ["events"]
+
+
+def test_a_run_directory_that_cannot_be_made_is_named_as_it_was_given(tmp_path, monkeypatch):
+    def refused(path, *_, **__):
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    (tmp_path / "runs").mkdir()
+    made = Path.mkdir
+    monkeypatch.setattr(
+        Path, "mkdir", lambda self, *a, **k: (refused if "partial" in self.name else made)(self, *a, **k)
+    )
+    with pytest.raises(FileError) as caught:
+        create_run_directory(tmp_path / "runs" / "mine", lambda folder: None)
+    assert caught.value.value == str(tmp_path / "runs" / "mine")
 
 
 def test_a_folder_that_is_a_file_is_named(tmp_path):

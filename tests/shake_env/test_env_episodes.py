@@ -288,6 +288,9 @@ def gradient():
         np.ma.masked_array([0.1]),
         np.array(["2020-01-01"], dtype="datetime64[D]"),
         np.array([3], dtype="timedelta64[s]"),
+        np.array([1], dtype="datetime64[ns]"),  # tolist() gives whole numbers of these two
+        np.array([1], dtype="timedelta64[ns]"),
+        np.array([10**400], dtype=object),
         ["0.1"],
         [None],
         [b"1"],

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from agents.cli.command_options import CommandOptions
+from agents.cli.output_path import require_writable_file
 from agents.progress import progress_by_name
 from agents.reporting.terminal import print_table
 from agents.scenario_options import ScenarioOptions
@@ -70,6 +71,8 @@ class Calibrate(CommandOptions):
             "sampler_moves": self.sampler_moves,
             "seed": self.seed,
         }
+        if self.output is not None:
+            require_writable_file(self.output, "output")
         file = ResultFile(self.output, "shake calibrate", scenario, options)
         with progress_by_name() as on_progress:
             result = calibrate(

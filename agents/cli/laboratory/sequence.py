@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from agents.cli.command_options import CommandOptions, Flag
+from agents.cli.output_path import require_writable_file
 from agents.execution.options import ExecutionOptions
 from agents.progress import progress_by_name
 from agents.reporting.terminal import print_table
@@ -183,6 +184,8 @@ class SequenceCommand(CommandOptions):
             "wider": not self.well_specified,
             "discrepancy": self.discrepancy,
         }
+        if self.output is not None:
+            require_writable_file(self.output, "output")
         file = ResultFile(self.output, "shake sequence rehearse", scenario, options)
         with self.execution.open_runner() as runner, progress_by_name() as on_progress:
             rehearsals = rehearse(

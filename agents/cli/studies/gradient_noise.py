@@ -10,6 +10,7 @@ import tyro
 from rich.console import Console
 
 from agents.cli.command_options import CommandOptions
+from agents.cli.output_path import require_writable_file
 from agents.policies.base_names import BaseLaw
 from agents.progress import progress_bar
 from agents.reporting.terminal import print_table
@@ -48,6 +49,8 @@ class GradientNoiseCommand(CommandOptions):
         from agents.studies.gradient_noise import NoiseSettings, gradient_noise
         from shake_env.files import write_json
 
+        if self.output is not None:
+            require_writable_file(self.output, "output")
         scenario = self.scenario.build()
         settings = NoiseSettings(
             base_controller=self.base_controller,

@@ -83,6 +83,9 @@ def _columns(source: SourceText, first: int, layout: Layout, heading: Heading) -
     if width > 1 and not heading.titles and 0 < final <= width and points != rows:
         series = source.series(first, last, layout)
         if is_series(series[: (rows - 1) * width].reshape(-1, width), counted=points == total):
+            if heading.points and points != total:
+                place = heading.points[0]
+                raise source.error(place, f"the file holds {total} values", f"points {points}")
             return [series]
     if heading.points and points != rows:
         raise source.error(heading.points[0], f"the file holds {rows} rows", f"points {points}")

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 
 import numpy as np
 import pytest
@@ -137,6 +138,13 @@ def test_required_spectra():
     assert ieee_693("high", 0.02).at(np.array([2.0]))[0] / GRAVITY == pytest.approx(1.62, rel=2e-3)
     assert np.all(np.abs(np.diff(high.at(np.geomspace(7.5, 8.5, 50)))) < 0.01 * high.at(np.array([8.0])))
     assert ieee_693("moderate").rigid == pytest.approx(0.25 * GRAVITY)
+
+
+def test_a_spectrum_that_is_no_file_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")
+    for place in (tmp_path / "pipe.csv", tmp_path, "/dev/zero"):
+        with pytest.raises(FileError, match="cannot be read"):
+            read_required_spectrum(place)
 
 
 def test_ordinates_are_sixths_of_an_octave():

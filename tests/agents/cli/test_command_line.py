@@ -247,6 +247,3 @@ def test_a_full_standard_output_is_named_without_a_traceback(words):
         out = subprocess.run(command, cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True)
     assert out.returncode == 2
     assert re.fullmatch(r"shake: standard output.*: No space left on device\n", out.stderr), out.stderr
-
-
-# Tables

@@ -36,6 +36,9 @@ def test_the_usual_folder_is_numbered_and_a_given_one_never_overwritten(tmp_path
         "reproduce --output {}", "export analytic {}/x.onnx", "watch --save {}/x.gif",
         "tune pid --scenario laboratory --output {}/x.json", "benchmark --results {}",
         "tune-training linear/ppo --storage {}/x.db",
+        "motion mine.csv --output {}", "accept mine.csv --output {}", "accept --make {}/x.csv",
+        "calibrate --output {}/x.json", "sequence rehearse --output {}/x.json",
+        "gradient-noise --output {}/x.json",
     ],
 )  # fmt: skip
 def test_unwritable_output_is_found_before_the_work_begins(words, tmp_path, monkeypatch, capsys):

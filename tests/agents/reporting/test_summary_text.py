@@ -113,3 +113,11 @@ def test_one_controller_or_one_earthquake_is_no_contest():
     assert numbers(alone.wins) == [2.0] and "lqr" in alone.wins
     single = verdict(constructed({"lqr": [1.0], "new": [0.5]}), make_scenario("laboratory"))
     assert numbers(single.wins) == [1.0, 50.0] and "interval" in single.wins  # the gain, no interval
+
+
+def test_copies_of_one_earthquake_give_no_interval():
+    copies = constructed({"lqr": [1.0, 1.0, 1.0], "new": [0.5, 0.5, 0.5], "other": [0.75] * 3})
+    wins = verdict(copies, make_scenario("laboratory")).wins
+    # Earthquakes; the gain over the second, 1 - 0.5 / 0.75; the cost over the reference's.
+    assert numbers(wins) == [3.0, 33.3, 0.5]
+    assert "nan" not in wins and "chance" not in wins

@@ -1,4 +1,4 @@
-"""Structures from matrices, files and modes, against an independent simulation."""
+"""Structures from matrices and modes, against an independent simulation."""
 
 import math
 from dataclasses import replace
@@ -6,15 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.io import savemat
 from scipy.linalg import eigh
 
 from baselines.lqr.sampled import lqr, sampled_lqr
-from shake_env.errors import FileError, ParameterError, ScenarioError
+from shake_env.errors import ParameterError, ScenarioError
 from shake_env.model.nonlinearity import Friction, Nonlinearity, Yielding
 from shake_env.model.parameters import Specimen
 from shake_env.model.plant import specimen_plant
-from shake_env.model.specimens import read_specimen, specimen_from_matrices, specimen_from_modes
+from shake_env.model.specimens import specimen_from_matrices, specimen_from_modes
 from shake_env.rollout import noise_earthquakes
 from shake_env.scenario.digest import scenario_digest
 from shake_env.scenario.overrides import make_scenario
@@ -133,25 +132,6 @@ def test_measured_modes_come_back():
     assert few.masses == masses
     with pytest.raises(ParameterError, match="share of one in another"):
         specimen_from_modes(masses, [1.8, 5.6], [0.01, 0.01], shapes[:, [0, 0]])
-
-
-def test_files_hold_matrices(tmp_path):
-    mat, csv = tmp_path / "frame.mat", tmp_path / "frame.csv"
-    savemat(mat, {"M": M, "K": K, "c": FRAME.damping_matrix})
-    assert read_specimen(mat) == FRAME
-    rows = {"M": M, "K": K}
-    text = "# a frame\n" + "".join(
-        f"{name}\n" + "".join(",".join(repr(float(v)) for v in row) + "\n" for row in matrix)
-        for name, matrix in rows.items()
-    )
-    csv.write_text(text)
-    assert read_specimen(csv, rayleigh=((2.0, 0.03), (8.0, 0.04))) == FRAME
-    for broken, what in ((text.replace("K\n", "X\n"), "cannot be read"), ("M\n1\n", "no matrix K")):
-        csv.write_text(broken)
-        with pytest.raises(FileError, match=what):
-            read_specimen(csv, damping_ratio=0.02)
-    with pytest.raises(FileError, match="cannot be read"):
-        read_specimen(tmp_path / "none.mat")
 
 
 @pytest.mark.parametrize(

@@ -185,6 +185,10 @@ REFUSED = {
     "step against the times": (TITLED + TWO, {"sampling_interval": 0.02}, "differs"),
     "step against the head": ("400 0.02\n" + TWO.replace(",", " "), G, "differs"),
     "count against the rows": ("401 0.01\n" + ONE, G, "holds 400 rows"),
+    "count against wrapped values": ("800 0.01\n" + "".join(WRAPPED), G, "holds 400 values"),
+    "commented count against wrapped values": (
+        "# npts: 399\n# dt: 0.01\n" + "".join(WRAPPED), G, "holds 400 values",
+    ),
     "two units": ("units: g\nunit: gal\n" + ONE, BOTH, "states the unit"),
     "two steps": ("dt: 0.01\nrate: 1\nsampling rate: 50 Hz\nunits: g\n" + ONE, {}, "states 0.01"),
     "only velocities": ("Time (s),Velocity (m/s)\n" + TWO, {}, "none of the columns"),
