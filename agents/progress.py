@@ -47,6 +47,7 @@ class Display:
         self._title = ""
         self._spinner: progress.Progress | None = None
         self._suspensions = 0
+        self._silent = False
         self._over = threading.Event()
         self._beat: threading.Thread | None = None
         self._began = self._last_line = 0.0
@@ -100,6 +101,17 @@ class Display:
             if self._spinner is not None and self._suspensions == 0:
                 self._spinner.start()
 
+    @contextmanager
+    def silenced(self, text: str) -> Iterator[None]:
+        """Print a line and then nothing, for work that must keep to the clock."""
+        self.note(text)
+        self._silent = True
+        try:
+            with self.suspended():
+                yield
+        finally:
+            self._silent = False
+
     def note(self, text: str) -> None:
         """Print a line that stays."""
         if not self.quiet:
@@ -113,12 +125,13 @@ class Display:
     def _tell(self) -> None:
         wait = FIRST_LINE
         while not self._over.wait(wait):
-            now = time.monotonic()
+            wait, now = 1.0, time.monotonic()
+            if self._silent:
+                continue
             if self._last_line == self._began:
                 self.note(f"{self._title}: working")
             elif now - self._last_line >= STILL:
                 self.note(f"{self._title}: still working after {now - self._began:.0f} s")
-            wait = 1.0
 
 
 display = Display()

@@ -9,7 +9,7 @@ import tyro
 from rich.console import Console
 
 from agents.cli.command_options import Flag, FolderOptions
-from agents.progress import progress_bar
+from agents.progress import display, progress_bar
 from agents.reporting.terminal import print_table
 from agents.scenario_options import ScenarioOptions
 
@@ -76,15 +76,21 @@ class Rehearse(FolderOptions):
             seed=self.seed,
         )
         folder = self.results_folder("rehearsal")
-        with progress_bar() as progress:
-            task = progress.add_task("rehearsal", total=1.0)
-            result = rehearse(
-                self.controller,
-                scenario,
-                plan,
-                folder,
-                lambda share: progress.update(task, completed=share),
-            )
+        if plan.paced:
+            tests = "one test" if self.tests == 1 else f"{self.tests} tests"
+            length = "its whole motion" if self.seconds is None else f"{self.seconds:g} s"
+            with display.silenced(f"rehearsal: {tests} of {length}, by the clock: no progress is shown"):
+                result = rehearse(self.controller, scenario, plan, folder)
+        else:
+            with progress_bar() as progress:
+                task = progress.add_task("rehearsal", total=1.0)
+                result = rehearse(
+                    self.controller,
+                    scenario,
+                    plan,
+                    folder,
+                    lambda share: progress.update(task, completed=share),
+                )
         print_rehearsal(result, console)
         if folder is not None:
             console.print(f"wrote {folder}")

@@ -171,7 +171,8 @@ class TableProcess:
         periods
             At most as many; None: the whole motion.
         on_period
-            Told the share of the test that is done, twice a second.
+            Told the share of the test that is done, twice a second; not where periods follow the clock,
+            which what it does would delay.
         """
         simulation, self._tests = self._simulation, self._tests + 1
         simulation.start([0], [np.random.default_rng(earthquake.seed)], [earthquake.motion])
@@ -304,7 +305,7 @@ class _Periods:
                 test.broken_limit = broken
             if broken is not None or ends:
                 break
-            if now - shown_at > 0.5:
+            if not table.paced and now - shown_at > 0.5:
                 shown_at = now
                 on_period((k + 1) / count)
         if ended is not None:
