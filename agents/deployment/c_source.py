@@ -49,7 +49,17 @@ def environment(precision: Precision) -> jinja2.Environment:
     )
     made.filters["real"] = lambda value: number(value, precision)
     made.filters["exact"] = number
+    made.globals["product"] = _product
     return made
+
+
+def _product(block: Mapping[str, Any], name: str, vector: str, result: str) -> str:
+    """Return the call that multiplies a block's matrix by a vector; a sparse one without its zeros."""
+    matrix = f"{block['name']}_{name}"
+    rows, columns = block[name].shape
+    if name in block["sparse"]:
+        return f"sparse_product({matrix}, {matrix}_columns, {matrix}_ends, {rows}, {vector}, {result});"
+    return f"product({matrix}, {rows}, {columns}, {vector}, {result});"
 
 
 def render_program(program: Program) -> dict[str, str]:
@@ -136,6 +146,7 @@ def _blocks(env: jinja2.Environment, program: Program) -> list[dict[str, Any]]:
             "type": f"{program.name}_{block.kind}_t",
             "summary": block.summary,
             "inner": made[-1] if made else None,
+            "sparse": block.sparse,
         }
         module = env.get_template(f"blocks/{block.kind}.c").make_module({})
         facts["state"] = module.state(facts).replace(" real ", f" {program.name}_real ")  # type: ignore[attr-defined]
@@ -147,28 +158,32 @@ def _blocks(env: jinja2.Environment, program: Program) -> list[dict[str, Any]]:
 
 
 def _constants(block: Block, precision: Precision) -> str:
+    arrays, integers = dict(block.arrays), dict(block.integers)
+    for name in block.sparse:
+        matrix = np.asarray(block.arrays[name])
+        rows, columns = np.nonzero(matrix)
+        arrays[name] = matrix[rows, columns]
+        integers[f"{name}_columns"] = columns.tolist()
+        integers[f"{name}_ends"] = np.cumsum(np.count_nonzero(matrix, axis=1)).tolist()
     texts = [
-        f"static const real {block.kind}_{name}[{array.size}] = {{\n"
-        f"{_wrapped(array.ravel(), precision)}}};\n"
-        for name, array in block.arrays.items()
+        _constant("real", f"{block.kind}_{name}", [number(value, precision) for value in array.ravel()])
+        for name, array in arrays.items()
         if array.size
     ]
-    texts += [
-        f"static const int {block.kind}_{name}[{len(values)}] = {{{', '.join(map(str, values))}}};\n"
-        for name, values in block.integers.items()
-    ]
+    texts += [_constant("int", f"{block.kind}_{name}", values) for name, values in integers.items()]
     return "\n".join(texts)
 
 
-def _wrapped(values: Sequence[float] | FloatArray, precision: Precision) -> str:
+def _constant(c_type: str, name: str, values: Sequence[Any]) -> str:
     lines, line = [], "   "
     for value in values:
-        text = f" {number(value, precision)},"
+        text = f" {value},"
         if len(line) + len(text) > WIDTH:
             lines.append(line)
             line = "   "
         line += text
-    return "\n".join([*lines, line]) + "\n"
+    body = "\n".join([*lines, line])
+    return f"static const {c_type} {name}[{len(values)}] = {{\n{body}\n}};\n"
 
 
 @lru_cache(maxsize=2)

@@ -28,6 +28,7 @@ from baselines.servo.output_feedback import OutputFeedback
 from baselines.servo.signals import SignalReader
 from shake_env.controller import NoControl
 from shake_env.errors import ScenarioError
+from shake_env.model.parameters import FloatArray
 from shake_env.safety.supervisor import Supervised
 from shake_env.scenario.scenario import Scenario
 
@@ -278,8 +279,14 @@ def _(controller: PolicyFile, scenario: Scenario) -> Block:
         "policy",
         f"learned policy: {kind}{behind}",
         {name: flat(array) for name, array in arrays.items()},
+        sparse=tuple(n for n in ("matrix", "advance", "show") if n in arrays and _is_sparse(arrays[n])),
         numbers=numbers,
     )
+
+
+def _is_sparse(matrix: FloatArray) -> bool:
+    """Return whether half of a matrix or more is zero, and it is no small one."""
+    return matrix.size >= 200 and float(np.mean(matrix == 0.0)) >= 0.5
 
 
 def _estimated_law(law: EstimatedLaw) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -33,6 +33,7 @@ class Block:
     summary: str  # what it is, for a reader of the C source
     arrays: Mapping[str, FloatArray] = field(default_factory=dict)  # become static const arrays
     integers: Mapping[str, Any] = field(default_factory=dict)  # likewise, of int
+    sparse: tuple[str, ...] = ()  # matrices among `arrays` that are written without their zeros
     numbers: Mapping[str, Any] = field(default_factory=dict)  # sizes, switches and scalars
     inner: Block | None = None
 

@@ -98,22 +98,21 @@ static void copy(const real *from, real *to, int count)
 }
 
 /** dot */
-/* Four sums side by side, which a processor can add at the same time. */
+/* Eight sums side by side, which a processor can add at the same time. */
 static real dot(const real *a, const real *b, int count)
 {
-    real sum_0 = {{ 0.0|real }}, sum_1 = {{ 0.0|real }}, sum_2 = {{ 0.0|real }}, sum_3 = {{ 0.0|real }};
+    real sums[8] = { {{ 0.0|real }} };
     int i = 0;
 
-    for (; i + 3 < count; i += 4) {
-        sum_0 += a[i] * b[i];
-        sum_1 += a[i + 1] * b[i + 1];
-        sum_2 += a[i + 2] * b[i + 2];
-        sum_3 += a[i + 3] * b[i + 3];
+    for (; i + 7 < count; i += 8) {
+        for (int j = 0; j < 8; j++) {
+            sums[j] += a[i + j] * b[i + j];
+        }
     }
     for (; i < count; i++) {
-        sum_0 += a[i] * b[i];
+        sums[0] += a[i] * b[i];
     }
-    return (sum_0 + sum_1) + (sum_2 + sum_3);
+    return ((sums[0] + sums[1]) + (sums[2] + sums[3])) + ((sums[4] + sums[5]) + (sums[6] + sums[7]));
 }
 
 /** product */
@@ -122,6 +121,22 @@ static void product(const real *matrix, int rows, int columns, const real *vecto
 {
     for (int i = 0; i < rows; i++) {
         result[i] = dot(&matrix[i * columns], vector, columns);
+    }
+}
+
+/** sparse_product */
+/* result = matrix vector; of the matrix what is not zero, row by row, its columns, and each row's end. */
+static void sparse_product(const real *values, const int *columns, const int *ends, int rows, const real *vector, real *result)
+{
+    int at = 0;
+
+    for (int i = 0; i < rows; i++) {
+        real sum = {{ 0.0|real }};
+
+        for (; at < ends[i]; at++) {
+            sum += values[at] * vector[columns[at]];
+        }
+        result[i] = sum;
     }
 }
 

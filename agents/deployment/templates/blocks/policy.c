@@ -30,7 +30,7 @@ static void {{ b.name }}_look({{ b.type }} *s, const real *y, real *x)
 
     copy(s->known, joined, {{ b.known }});
     copy(y, &joined[{{ b.known }}], {{ b.n }});
-    product({{ b.name }}_advance, {{ b.known + b.readings }}, {{ b.known + b.n }}, joined, both);
+    {{ product(b, "advance", "joined", "both") }}
     if (s->started == 0) {
         for (int i = 0; i < {{ b.known + b.readings }}; i++) {
             both[i] *= {{ b.name }}_begins[i];
@@ -44,7 +44,7 @@ static void {{ b.name }}_look({{ b.type }} *s, const real *y, real *x)
     add_product(&{{ b.name }}_gains[s->age * {{ b.estimates * b.readings }}], {{ b.estimates }}, {{ b.readings }}, &both[{{ b.known }}], both);
     copy(both, s->known, {{ b.known }});
     copy(s->known, joined, {{ b.known }});
-    product({{ b.name }}_show, {{ b.shown }}, {{ b.known + b.n }}, joined, &x[{{ b.n }}]);
+    {{ product(b, "show", "joined", "&x[%d]" % b.n) }}
     copy(y, x, {{ b.n }});
 }
 
@@ -123,7 +123,7 @@ static void {{ b.name }}_step({{ b.type }} *s, const real *y, real *action)
     const real *x = y;
 
 {% endif %}
-    product({{ b.name }}_matrix, {{ b.features }}, {{ b.n + b.shown }}, x, entering);
+    {{ product(b, "matrix", "x", "entering") }}
     for (int i = 0; i < {{ b.features }}; i++) {
         entering[i] = clip(entering[i], {{ -b.feature_clip|real }}, {{ b.feature_clip|real }});
     }
