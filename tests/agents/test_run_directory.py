@@ -255,8 +255,8 @@ def test_a_configuration_without_its_parts_is_none(tmp_path):
 
 HOLD = (
     "import sys, time, pathlib\n"
-    "from agents.run_directory import locked\n"
-    "with locked(pathlib.Path(sys.argv[1])):\n"
+    "from agents.run_directory import locked_folder\n"
+    "with locked_folder(pathlib.Path(sys.argv[1])):\n"
     "    print('held', flush=True)\n"
     "    time.sleep(600)\n"
 )

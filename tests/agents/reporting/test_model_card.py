@@ -68,7 +68,7 @@ def test_a_result_of_other_policies_is_refused(evaluated, tmp_path):
     shutil.copy(shipped_policy("apg"), other)
     with pytest.raises(ParameterError, match="holds no row of this policy"):
         write_card(other, [folder / "result.json"])
-    with pytest.raises(ParameterError, match="cannot be read"):
+    with pytest.raises(ParameterError, match="there is no such file"):
         write_card(other, [tmp_path / "absent.json"])
     assert [path.name for path in write_card(other)] == ["other.md", "other.png"]
     assert "Not evaluated on test earthquakes yet." in other.with_suffix(".md").read_text()
