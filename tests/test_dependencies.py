@@ -12,11 +12,11 @@ from packaging.version import Version
 # Words of a licence expression, classifier or text that are allowed: permissive ones, and file-level
 # copyleft (MPL), which does not reach a program that imports the library.
 ALLOWED = {
-    "0bsd", "3-clause bsd license", "apache 2.0", "apache license 2.0", "apache software license",
-    "apache-2.0", "apache-2.0 with llvm-exception", "bsd", "bsd license", "bsd-2-clause",
-    "bsd-3-clause", "bsl-1.0", "cc0-1.0", "isc", "isc license (iscl)", "mit", "mit license", "mit-cmu",
-    "mozilla public license 2.0 (mpl 2.0)", "mpl-2.0", "psf-2.0", "python software foundation license",
-    "zlib",
+    "0bsd", "3-clause bsd license", "apache", "apache 2.0", "apache license 2.0", "apache license v2.0",
+    "apache software license", "apache-2.0", "apache-2.0 with llvm-exception", "bsd", "bsd license",
+    "bsd-2-clause", "bsd-3-clause", "bsl-1.0", "cc0-1.0", "cmu license (mit-cmu)", "cnri-python", "isc",
+    "isc license (iscl)", "mit", "mit license", "mit-cmu", "mozilla public license 2.0 (mpl 2.0)",
+    "mpl-2.0", "psf-2.0", "python software foundation license", "unlicense", "zlib",
 }  # fmt: skip
 # Under the LGPL: used as they are installed, unmodified and replaceable, which is all that it asks.
 # chardet comes with binaryornot or requests in some versions of the development tools.

@@ -152,7 +152,7 @@ def read_motion(
     return tuple(replace(r, name=path.stem + r.name.removeprefix(path.name)) for r in records)
 
 
-def file_content(path: Path) -> bytes:
+def file_content(path: str | os.PathLike[str]) -> bytes:
     """Return the bytes of a regular file of at most `LARGEST_FILE`.
 
     Raises
@@ -160,6 +160,7 @@ def file_content(path: Path) -> bytes:
     RecordError
         If it is larger, cannot be read, or is a folder, a pipe or a device, which is not opened.
     """
+    path = Path(path)
     try:
         _check_door(path, os.stat(path))
         flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)

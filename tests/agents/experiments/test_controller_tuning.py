@@ -111,7 +111,8 @@ def test_a_search_that_was_cut_in_its_first_trial_keeps_the_defaults_cost(tmp_pa
         raise KeyboardInterrupt
 
     def run(name, cost):
-        return search(cost, tunable, tmp_path / "t.db", name, total, 0, lambda *a: None, starts)
+        with storage_errors(tmp_path / "t.db"):
+            return search(cost, tunable, tmp_path / "t.db", name, total, 0, lambda *a: None, starts)
 
     whole = run("whole", cost)
     with pytest.raises(KeyboardInterrupt):

@@ -210,6 +210,6 @@ def test_any_edit_of_a_record_is_read_soundly_or_refused(edits):
     assert np.all(np.isfinite(record.acceleration))
     assert record.sampling_interval > 0.0 and math.isfinite(record.sampling_interval)
     assert header["units"] == "g"
-    # Text lines after the column's name, as a person counts them.
-    lines = [line for line in text.splitlines() if not line.startswith("#")]
+    # Text lines after the column's name, as a person counts them: an empty one is none.
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     assert len(record.acceleration) == len(lines) - 1
