@@ -15,6 +15,9 @@ from agents.execution.executor import Executor
 from agents.execution.units import UnitRunner
 from agents.run_directory import cache_folder
 from shake_env.errors import ParameterError
+from shake_env.files import file_errors
+
+MOST_MEMORY = 1e5  # [GiB] of a worker
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,8 +33,8 @@ class ExecutionOptions:
     executor: Literal["local", "ray", "submitit"] = "local"
     """What runs the work: processes of this machine, a Ray cluster, or jobs of Slurm by submitit."""
     processes: int | None = None
-    """Workers at a time, each of one thread (unset: two for runs, which have processes of their own,
-    otherwise this process alone; of a Ray cluster all cores)."""
+    """Workers at a time, each of one thread (unset: two for runs and forecasts, otherwise this process
+    alone; of a Ray cluster all cores)."""
     ray_address: str | None = None
     """Ray cluster: auto, HOST:6379 or ray://HOST:10001 (unset: one is started on this machine)."""
     slurm: tuple[str, ...] = ()
@@ -45,8 +48,9 @@ class ExecutionOptions:
     def __post_init__(self) -> None:
         if self.processes is not None and self.processes < 1:
             raise ParameterError("processes", self.processes, "must be at least 1")
-        if not self.worker_memory > 0.0:
-            raise ParameterError("worker-memory", self.worker_memory, "must be above 0")
+        if not 0.0 < self.worker_memory <= MOST_MEMORY:
+            remedy = f"must be above 0, at most {MOST_MEMORY:g} GiB"
+            raise ParameterError("worker-memory", self.worker_memory, remedy)
         for option, engine in (("ray_address", "ray"), ("slurm", "submitit")):
             if getattr(self, option) and self.executor != engine:
                 name = option.replace("_", "-")
@@ -66,6 +70,8 @@ class ExecutionOptions:
         ShakeError
             If the engine is not installed or cannot be reached.
         """
+        with file_errors(self.folder):
+            self.folder.mkdir(parents=True, exist_ok=True)
         number, memory = self.processes or usual, self.worker_memory
         executor: Executor
         if self.executor == "local":
@@ -89,19 +95,21 @@ class ExecutionOptions:
             yield executor
 
     @contextmanager
-    def open_runner(self) -> Iterator[UnitRunner]:
+    def open_runner(self, usual: int = 1) -> Iterator[UnitRunner]:
         """Give what runs the units of a command; when the command has ended, their results go.
+
+        `usual` is the number of local workers where none is given; one is this process.
 
         Raises
         ------
         ShakeError
             As `open_executor`.
         """
-        if self.executor == "local" and self.processes in (None, 1):
+        if self.executor == "local" and (self.processes or usual) == 1:
             runner = UnitRunner(None, self.folder)
             yield runner
         else:
-            with self.open_executor() as executor:
+            with self.open_executor(max(2, usual)) as executor:
                 runner = UnitRunner(executor, self.folder)
                 yield runner
         runner.forget()

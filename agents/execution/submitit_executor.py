@@ -116,4 +116,6 @@ def _parameter(text: str) -> tuple[str, Any]:
     key, separator, value = text.partition("=")
     if not separator or not key:
         raise ParameterError("slurm", text, "must be KEY=VALUE, such as slurm_partition=cpu")
+    if key.endswith("timeout_min") and not (value.isdecimal() and int(value) > 0):
+        raise ParameterError("slurm", text, "must be a whole number of minutes above 0")
     return key, int(value) if value.isdecimal() else value

@@ -192,6 +192,8 @@ def _tuned(
             on_trial=on_trial,
         )  # fmt: skip
     except (ParameterError, ScenarioError, NumericalError) as error:
+        if error.field == "storage":  # which no other controller could use either
+            raise
         return str(error)
     return vars(result)
 

@@ -7,6 +7,7 @@ machines work on: ``postgresql+pg8000://...`` and whatever else SQLAlchemy reach
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 import sqlite3
@@ -84,7 +85,10 @@ def _shared(url: str) -> Any:
     if url.startswith(_JOURNAL):
         from optuna.storages.journal import JournalFileBackend
 
-        file = Path(url.removeprefix(_JOURNAL).removeprefix("//"))
+        name = url.removeprefix(_JOURNAL).removeprefix("//")
+        if not name:
+            raise ParameterError("storage", url, "must be journal:FILE")
+        file = Path(name)
         with file_errors(file):
             file.parent.mkdir(parents=True, exist_ok=True)
         return storages.JournalStorage(JournalFileBackend(str(file)))
@@ -199,7 +203,9 @@ def storage_errors(storage: str | PathLike[str]) -> Iterator[None]:
             yield
     except Exception as error:
         cause: BaseException | None = error
-        kinds = (sqlite3.Error, sqlalchemy.exc.SQLAlchemyError, ModuleNotFoundError)
+        kinds = (
+            sqlite3.Error, sqlalchemy.exc.SQLAlchemyError, ModuleNotFoundError, json.JSONDecodeError,
+        )  # fmt: skip
         while cause is not None and not isinstance(cause, kinds):
             cause = cause.__cause__
         if cause is None or (isinstance(cause, ModuleNotFoundError) and not is_shared(storage)):

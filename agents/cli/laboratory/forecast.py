@@ -54,7 +54,7 @@ class ForecastCommand(FolderOptions):
     keep: float = 0.95
     """Probability with which every limit must be kept."""
     execution: Annotated[ExecutionOptions, tyro.conf.arg(name="")] = field(
-        default_factory=lambda: ExecutionOptions(processes=2)
+        default_factory=ExecutionOptions
     )
     seed: int = 7_000_000
     """Seed of the first sample."""
@@ -84,7 +84,7 @@ class ForecastCommand(FolderOptions):
                 )
             scenario = replace(scenario, motion=quakes[0].motion)
         folder = self.results_folder("forecast")
-        with self.execution.open_runner() as runner, progress_by_name() as on_progress:
+        with self.execution.open_runner(usual=2) as runner, progress_by_name() as on_progress:
             forecasts = forecast(
                 scenario,
                 self.controllers,

@@ -16,6 +16,7 @@ from agents.execution.environment import environment, folder_token
 from agents.execution.executor import ATTEMPTS
 from agents.execution.local_executor import LocalExecutor
 from agents.execution.options import ExecutionOptions
+from agents.execution.submitit_executor import _parameter
 from agents.execution.units import Unit, UnitRunner, plain_identity
 from agents.execution.worker import Call, Conditions, pack_calls, perform_calls
 from shake_env import SCENARIO_NAMES, make_scenario
@@ -160,6 +161,7 @@ def test_a_folder_that_a_worker_does_not_share_is_named(tmp_path):
     [
         ({"processes": 0}, "processes = 0"),
         ({"worker_memory": 0.0}, "worker-memory = 0.0"),
+        ({"worker_memory": math.inf}, "worker-memory = inf: .*at most 100000 GiB"),
         ({"ray_address": "auto"}, "goes with --executor ray"),
         ({"executor": "ray", "slurm": ("a=b",)}, "goes with --executor submitit"),
     ],
@@ -167,3 +169,27 @@ def test_a_folder_that_a_worker_does_not_share_is_named(tmp_path):
 def test_options_that_contradict_each_other_are_named(options, named):
     with pytest.raises(ParameterError, match=named):
         ExecutionOptions(**options)
+
+
+def test_a_folder_of_units_that_cannot_be_one_is_refused_before_the_work(tmp_path):
+    (tmp_path / "file").write_text("")
+    with (
+        pytest.raises(FileError, match="file"),
+        ExecutionOptions(processes=2, units=tmp_path / "file").open_runner(),
+    ):
+        pass
+
+
+def test_workers_are_as_many_as_a_command_usually_has(tmp_path):
+    with ExecutionOptions(units=tmp_path).open_runner() as runner:
+        assert runner.executor is None
+    with ExecutionOptions(units=tmp_path).open_runner(usual=2) as runner:
+        assert isinstance(runner.executor, LocalExecutor)
+    with ExecutionOptions(units=tmp_path, processes=1).open_runner(usual=2) as runner:
+        assert runner.executor is None
+
+
+@pytest.mark.parametrize("text", ["timeout_min=abc", "timeout_min=-5", "slurm_timeout_min=0", "alone"])
+def test_parameters_of_jobs_that_have_no_meaning_are_refused(text):
+    with pytest.raises(ParameterError, match="slurm"):
+        _parameter(text)

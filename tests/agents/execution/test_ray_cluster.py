@@ -99,7 +99,7 @@ def test_killed_workers_node_and_driver_lose_no_unit_and_repeat_none_that_is_don
     wait_until(lambda: done() >= 5, driver)
     # The driver.
     driver.kill()
-    driver.wait()
+    driver.communicate()
     time.sleep(1.0)
     at_kills.append(done_runs())
     before = len(at_kills[-1])
@@ -109,7 +109,8 @@ def test_killed_workers_node_and_driver_lose_no_unit_and_repeat_none_that_is_don
     # A node.
     at_kills.append(done_runs())
     cluster.remove_node(cluster.workers[0], allow_graceful=False)
-    assert driver.wait(timeout=400) == 0, driver.stderr.read()
+    _, said = driver.communicate(timeout=400)
+    assert driver.returncode == 0, said
     assert done() == UNITS
     after = counts()
     assert min(after) >= 1

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from agents.__main__ import main
-from agents.experiments.controller_tuning import FAILED, keep_tuned_values, search, tune
+from agents.execution.units import UnitRunner
+from agents.experiments.controller_tuning import FAILED, keep_tuned_values, search, tune, tune_each
 from agents.experiments.study_storage import open_study, storage_errors
 from baselines import registry
 from baselines.baseline import Baseline, Tunable
@@ -182,3 +183,13 @@ def test_a_tunable_range_must_hold_its_default():
 def test_an_executor_for_a_single_search_is_refused(capsys):
     assert main(["tune", "pid", "--executor", "ray"]) == 2
     assert "same --storage" in capsys.readouterr().err
+
+
+def test_a_storage_that_no_controller_can_use_ends_the_search_of_all(tmp_path):
+    (tmp_path / "notes.txt").write_text("no journal")
+    for storage in ("foo://bar", f"journal:{tmp_path / 'notes.txt'}", "journal:"):
+        with pytest.raises(ParameterError, match="storage"):
+            tune_each(
+                ["preview-lqr"], make_scenario(), storage, budget=20_000, earthquakes=1, seed=0,
+                tuned=None, runner=UnitRunner(), on_progress=lambda name, share: None,
+            )  # fmt: skip
