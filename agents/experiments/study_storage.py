@@ -29,6 +29,7 @@ GRACE = 120  # [s] without one, after which another process tries the trial agai
 ATTEMPTS = 4  # to open a database in which other processes make the tables
 SLOTS = 1000  # processes that work on a search from one folder
 POLL = 0.5  # [s] between two looks at a study whose last trials other processes have
+LONGEST_ENTRY = 100_000  # [bytes] of a journal that are read to tell what it is
 RETRIES = 3  # of a trial whose processes were lost
 _JOURNAL, _PROXY = "journal:", "grpc://"
 _OF_OPTUNA = {"version_info", "studies", "trials"}  # tables of every file of Optuna's
@@ -91,6 +92,7 @@ def _shared(url: str) -> Any:
         file = Path(name)
         with file_errors(file):
             file.parent.mkdir(parents=True, exist_ok=True)
+            _require_journal(url, file)
         return storages.JournalStorage(JournalFileBackend(str(file)))
     if url.startswith(_PROXY):
         host, _, port = url.removeprefix(_PROXY).rstrip("/").rpartition(":")
@@ -116,6 +118,18 @@ def _shared(url: str) -> Any:
                 raise
             time.sleep(attempt)
     raise AssertionError
+
+
+def _require_journal(url: str, file: Path) -> None:
+    """Refuse what is there and no journal, before Optuna would write its own lines into it."""
+    if not file.exists():
+        return
+    if not file.is_file():
+        raise ParameterError("storage", url, no_file(file))
+    with file.open("rb") as stream:
+        line = stream.readline(LONGEST_ENTRY)
+    if line and not (line.startswith(b"{") and b'"op_code"' in line):
+        raise ParameterError("storage", url, "is no journal of Optuna: name another file")
 
 
 def _require_own(storage: Path) -> None:
