@@ -43,6 +43,7 @@ if __name__ == "__main__":
 def cluster():
     from ray.cluster_utils import Cluster
 
+    Path(tempfile.gettempdir(), "ray").mkdir(exist_ok=True)  # where Ray notes the cluster's address
     small = {"object_store_memory": 100 * 2**20, "memory": 4 * 2**30}
     with tempfile.TemporaryDirectory(dir="/tmp") as short:  # a socket's path is at most 107 long
         head = {"num_cpus": 0, "temp_dir": short, **small}

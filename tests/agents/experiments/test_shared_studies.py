@@ -106,7 +106,8 @@ def test_two_processes_share_a_study(storage, tmp_path):
     total = 16
     both = [begin(tmp_path, storage, total, 0.2) for _ in range(2)]
     for process in both:
-        assert process.wait(timeout=300) == 0, process.stderr.read()
+        _, said = process.communicate(timeout=300)
+        assert process.returncode == 0, said
     study, made = open_study(storage, "study")
     trials = study.get_trials(deepcopy=False)
     assert not made and {t.state.name for t in trials} == {"COMPLETE"}
@@ -129,10 +130,11 @@ def test_a_killed_processs_trial_is_tried_again(postgresql, tmp_path):
     while not values(folder) and time.monotonic() < end:
         time.sleep(0.1)
     first.kill()
-    first.wait()
+    first.communicate()
     (lost,) = values(folder)
     second = begin(folder, database, before + 3, 0.1)
-    assert second.wait(timeout=300) == 0, second.stderr.read()
+    _, said = second.communicate(timeout=300)
+    assert second.returncode == 0, said
     trials = study.get_trials(deepcopy=False)
     again = [t for t in trials if t.params.get("x") == float(lost)]
     assert [t.state.name for t in again] == ["FAIL", "COMPLETE"]
