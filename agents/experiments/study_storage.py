@@ -81,6 +81,7 @@ def _own_file(file: Path) -> Any:
 def _shared(url: str) -> Any:
     import optuna
     import sqlalchemy.exc
+    import sqlalchemy.pool
 
     storages = optuna.storages
     if url.startswith(_JOURNAL):
@@ -108,10 +109,14 @@ def _shared(url: str) -> Any:
         name, callback = "heartbeat_stale_trial_callback", storages.RetryHeartbeatStaleTrialCallback
     else:
         name, callback = "failed_trial_callback", storages.RetryFailedTrialCallback
+    # Each process of a search would otherwise keep connections that it seldom needs.
+    unpooled = {"poolclass": sqlalchemy.pool.NullPool}
     retry: dict[str, Any] = {name: callback(RETRIES)}
     for attempt in range(1, ATTEMPTS + 1):
         try:
-            return storages.RDBStorage(url, heartbeat_interval=HEARTBEAT, grace_period=GRACE, **retry)
+            return storages.RDBStorage(
+                url, engine_kwargs=unpooled, heartbeat_interval=HEARTBEAT, grace_period=GRACE, **retry
+            )
         except (sqlalchemy.exc.IntegrityError, sqlalchemy.exc.ProgrammingError):
             # Another process makes the tables at the same time, and a server refuses the second.
             if attempt == ATTEMPTS:
