@@ -75,8 +75,9 @@ def times(result: list[dict[str, Any]]) -> str:
         "scenario", "controller", "C double, median [us]", "worst, processor", "worst, clock",
         "C float, median", "worst, clock", "numpy, median",
     )  # fmt: skip
-    return "One decision of 100 000 on an idle machine (`python -m benchmarks.exported`).\n\n" + table(
-        head, rows
+    return (
+        "One decision of 100 000 on two cores, beside other work (`python -m benchmarks.exported`).\n\n"
+        + table(head, rows)
     )
 
 
