@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 from matplotlib.figure import Figure
+from small_experiment import SMALL, TINY
 
 from agents.__main__ import main
 from agents.experiments import catalogue
@@ -34,23 +35,11 @@ from agents.experiments.search_trace import (
 )
 from agents.progress import Progress
 from agents.run_directory import locked_folder
-from agents.scenario_options import ScenarioOptions
-from agents.training.algorithm_options import PPOOptions, SACOptions
+from agents.training.algorithm_options import SACOptions
 from agents.training.config import TrainConfig
 from baselines.lqr.sampled import lqr
 from shake_env.errors import ParameterError, RunDirectoryError, ScenarioError
 
-SMALL = TrainConfig(
-    scenario=ScenarioOptions(duration=1.0),
-    ppo=PPOOptions(n_envs=4, n_steps=16, batch_size=32, n_epochs=1),
-    net_arch=(8,),
-    episode_duration=0.2,
-    total_timesteps=1_024,
-    evaluations=8,
-    evaluation_earthquakes=1,
-    checkpoint_interval=1e-9,
-)
-TINY = ExperimentConfig(evaluation_task="linear", config=SMALL, minutes=0.1)
 SEARCH = Search(experiment=TINY, share=0.5, earthquakes=2)
 
 

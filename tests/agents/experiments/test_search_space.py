@@ -8,6 +8,7 @@ import optuna
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from small_experiment import SMALL, TINY
 
 from agents.experiments.catalogue import EXPERIMENTS, ExperimentConfig
 from agents.experiments.search import find_experiment
@@ -22,23 +23,10 @@ from agents.experiments.search_space import (
     suitable_laws,
     trial_config,
 )
-from agents.scenario_options import ScenarioOptions
 from agents.seeds import EVALUATION_SEED, TEST_SEED
 from agents.training.algorithm_options import PPOOptions
 from agents.training.config import TrainConfig, config_of
 from shake_env.errors import ParameterError
-
-SMALL = TrainConfig(
-    scenario=ScenarioOptions(duration=1.0),
-    ppo=PPOOptions(n_envs=4, n_steps=16, batch_size=32, n_epochs=1),
-    net_arch=(8,),
-    episode_duration=0.2,
-    total_timesteps=1_024,
-    evaluations=8,
-    evaluation_earthquakes=1,
-    checkpoint_interval=1e-9,
-)
-TINY = ExperimentConfig(evaluation_task="linear", config=SMALL, minutes=0.1)
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda experiment: experiment.name)

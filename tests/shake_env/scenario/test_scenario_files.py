@@ -1,8 +1,6 @@
 """Scenario files in TOML: read with their units and includes, errors with line and remedy."""
 
-import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import gymnasium
 import pytest
@@ -13,23 +11,6 @@ from shake_env import (
     make_scenario,
 )
 from shake_env.errors import ParameterError, RecordError, ScenarioError
-
-RECORD = Path(__file__).parents[2] / "data" / "CICLC_trimmed.v1"
-
-
-@pytest.fixture
-def write(tmp_path):
-    """A function that writes a file, with the version ahead of its text, and returns its path."""
-    shutil.copy(RECORD, tmp_path / "CICLC.v1")
-
-    def written(text, name="my.toml"):
-        path = tmp_path / name
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(f"schema = 1\n{text}", encoding="utf-8")
-        return path
-
-    return written
-
 
 # Reading
 

@@ -1,9 +1,7 @@
 """Forms in scenario files: specimens, structures and motions by constructors, and tables by name."""
 
-import shutil
 import tomllib
 from dataclasses import replace
-from pathlib import Path
 
 import jsonschema
 import pytest
@@ -23,22 +21,6 @@ from shake_env.rollout import recorded_earthquakes
 from shake_env.scenario.forms import FORMS
 from shake_env.scenario.json_schema import scenario_schema
 from shake_env.scenario.scenario_writer import write_scenario
-
-RECORD = Path(__file__).parents[2] / "data" / "CICLC_trimmed.v1"
-
-
-@pytest.fixture
-def write(tmp_path):
-    """A function that writes a file, with the version ahead of its text, and returns its path."""
-    shutil.copy(RECORD, tmp_path / "CICLC.v1")
-
-    def written(text, name="my.toml"):
-        path = tmp_path / name
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(f"schema = 1\n{text}", encoding="utf-8")
-        return path
-
-    return written
 
 
 def test_equal_storeys_stand_on_the_files_own_table(write):

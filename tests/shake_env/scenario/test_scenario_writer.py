@@ -3,7 +3,6 @@
 import json
 import shutil
 import tomllib
-from pathlib import Path
 
 import jsonschema
 import numpy as np
@@ -21,21 +20,6 @@ from shake_env.scenario.scenario_file import parse_toml, scenario_fields, scenar
 from shake_env.scenario.scenario_writer import SCHEMA_FILE, scenario_toml, write_scenario
 
 VALIDATOR = jsonschema.Draft7Validator(scenario_schema())
-RECORD = Path(__file__).parents[2] / "data" / "CICLC_trimmed.v1"
-
-
-@pytest.fixture
-def write(tmp_path):
-    """A function that writes a file, with the version ahead of its text, and returns its path."""
-    shutil.copy(RECORD, tmp_path / "CICLC.v1")
-
-    def written(text, name="my.toml"):
-        path = tmp_path / name
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(f"schema = 1\n{text}", encoding="utf-8")
-        return path
-
-    return written
 
 
 @pytest.mark.parametrize("name", [*NAMED])
