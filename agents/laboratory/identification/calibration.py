@@ -77,7 +77,7 @@ def calibrate(
     for number in sorted(set(range(data_sets)) - present):
         row: dict[str, Any] = {"number": number}
         stream = np.random.default_rng([seed, number])
-        point, log = _data_set(scenario, prior, stream, seconds, amplitude, controller)
+        point, log = data_set(scenario, prior, stream, seconds, amplitude, controller)
         plain = replace(scenario, uncertainty=Uncertainty(), limits=Limits())
         begun = time.process_time()
         try:
@@ -146,7 +146,7 @@ def summary(names: Sequence[str], rows: Sequence[Mapping[str, Any]], samples: in
     }
 
 
-def _data_set(
+def data_set(
     scenario: Scenario,
     prior: Prior,
     stream: np.random.Generator,
@@ -154,7 +154,10 @@ def _data_set(
     amplitude: float,
     controller: str,
 ) -> tuple[FloatArray, TestLog]:
-    """Return a plant's point (p,) of the prior, and the log of its test."""
+    """Return a plant's point (p,) of the prior, and the log of its test.
+
+    Parameters are those of `calibrate`; `stream` draws the plant, its motion and its noise.
+    """
     # No limit ends a log early: what is tested is the identification, not the drive.
     plain = replace(scenario, uncertainty=Uncertainty(), limits=Limits())
     motion = FilteredNoise(duration=seconds, amplitude=amplitude)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from agents.laboratory.identification.laplace import Laplace, laplace
 from agents.laboratory.identification.likelihood import Likelihood
 from agents.laboratory.identification.parameters import Prior, from_scale, within
 from shake_env.model.parameters import FloatArray
@@ -24,13 +25,14 @@ SETTLED = 0.1  # relative change of the shares that ends the rounds
 
 @dataclass(frozen=True)
 class Fit:
-    """The normal posterior of a log's parameters, on their scales."""
+    """Mode and curvature of the posterior of logs' parameters, on their scales."""
 
     likelihood: Likelihood
     prior: Prior
     mode: FloatArray  # (p,)
-    covariance: FloatArray  # (p, p)
+    covariance: FloatArray  # (p, p) inverse of the curvature at the mode
     cost: float  # minus log posterior density at the mode, but a constant
+    normal: Laplace  # the normal posterior that samples are drawn from
     seconds: float
 
     @property
@@ -57,8 +59,7 @@ class Fit:
 
     def draw(self, number: int, stream: np.random.Generator) -> FloatArray:
         """Return draws (number, p) of the normal posterior."""
-        normal = Prior(self.names, self.mode, self.covariance)
-        return normal.draw(number, stream)
+        return self.normal.points(self.normal.draw(number, stream))
 
     def log_posterior(self, points: FloatArray) -> FloatArray:
         """Return the log posterior density (N,), but a constant, at N points (N, p)."""
@@ -104,8 +105,9 @@ def fit(
         )
         if change < SETTLED or not discrepancy:
             break
+    normal = laplace(fitted.mode, fitted.covariance, prior, fitted.log_posterior, seed)
     on_progress(1.0)
-    return replace(fitted, seconds=time.perf_counter() - begun)
+    return replace(fitted, normal=normal, seconds=time.perf_counter() - begun)
 
 
 def _global(likelihood: Likelihood, prior: Prior, seed: int) -> Fit:
@@ -154,4 +156,6 @@ def _search(likelihood: Likelihood, prior: Prior, start: FloatArray) -> Fit:
     slopes = both(result.x)[1]
     covariance = factor @ np.linalg.inv(slopes.T @ slopes) @ factor.T
     mode = within(prior.names, prior.mean + factor @ result.x)
-    return Fit(likelihood, prior, mode, 0.5 * (covariance + covariance.T), float(result.cost), 0.0)
+    covariance = 0.5 * (covariance + covariance.T)
+    normal = Laplace(prior.names, mode, np.zeros(p), covariance, False)
+    return Fit(likelihood, prior, mode, covariance, float(result.cost), normal, 0.0)

@@ -1,9 +1,9 @@
 """Samples of the posterior by an ensemble of walkers (emcee), with R-hat and effective sample sizes.
 
-Walkers are lanes of one batch of simulated tables. They begin at draws of the normal posterior, weighted
-by the true density. Most moves are independent draws around the normal posterior, with the tails of
-Student's t, accepted by Metropolis and Hastings' rule; the others are differences of walkers (ter Braak
-and Vrugt 2008), which find what is not normal.
+Walkers are lanes of one batch of simulated tables, in the coordinates of the normal posterior. They
+begin at draws of it, weighted by the true density. Most moves are independent draws around it, with the
+tails of Student's t, accepted by Metropolis and Hastings' rule; the others are differences of walkers
+(ter Braak and Vrugt 2008), which find what is not normal.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from agents.laboratory.identification.fit import Fit
-from agents.laboratory.identification.parameters import LINEAR
+from agents.laboratory.identification.laplace import Density, Laplace
 from agents.laboratory.identification.posterior import Posterior
 from agents.laboratory.logs.hdf5_file import library
 from shake_env.model.parameters import FloatArray
@@ -67,20 +67,15 @@ def sample(
     walkers = max(2 * p + 2, WALKERS_A_PARAMETER * p)
     walkers += walkers % 2
     stream = np.random.default_rng(seed)
-    start = _start(fit, walkers, stream)
-    lowest = np.array([0.0 if name in LINEAR else -np.inf for name in fit.names])
-
-    def density(points: FloatArray) -> FloatArray:
-        values = fit.log_posterior(points)
-        return np.where(np.all(points >= lowest, axis=1), values, -np.inf)
-
+    density = fit.normal.density_of(fit.log_posterior)
+    start = _start(fit.normal, density, walkers, stream)
     ensemble = emcee.EnsembleSampler(
         walkers,
         p,
         density,
         vectorize=True,
         moves=[
-            (emcee.moves.MHMove(_independent(fit)), INDEPENDENT),
+            (emcee.moves.MHMove(_independent(fit.normal)), INDEPENDENT),
             (emcee.moves.DEMove(), 1.0 - INDEPENDENT),
         ],
     )
@@ -104,37 +99,35 @@ def sample(
     on_progress(1.0)
     return replace(
         Posterior.of_fit(fit, 1, seed),
-        points=flat[picked],
+        points=fit.normal.points(flat[picked]),
         method="ensemble",
         r_hat=tuple(r_hat),
         effective=tuple(effective),
     )
 
 
-def _independent(fit: Fit) -> Callable[[FloatArray, Any], tuple[FloatArray, FloatArray]]:
-    """Return a proposal of Student's t around the mode, with its part in the rule of acceptance."""
-    p, factor = len(fit.names), np.linalg.cholesky(fit.covariance)
+def _independent(normal: Laplace) -> Callable[[FloatArray, Any], tuple[FloatArray, FloatArray]]:
+    """Return a proposal of Student's t around the mean, with its part in the rule of acceptance."""
+    p, factor = len(normal.names), np.linalg.cholesky(normal.covariance)
 
-    def log_density(points: FloatArray) -> FloatArray:
-        white = np.linalg.solve(factor, (points - fit.mode).T)
-        logs: FloatArray = -0.5 * (FREEDOM + p) * np.log1p(np.sum(white**2, axis=0) / FREEDOM)
+    def log_density(z: FloatArray) -> FloatArray:
+        logs: FloatArray = -0.5 * (FREEDOM + p) * np.log1p(normal.distance(z) / FREEDOM)
         return logs
 
-    def propose(points: FloatArray, random: Any) -> tuple[FloatArray, FloatArray]:
-        normal = random.standard_normal(points.shape)
-        heavy = np.sqrt(FREEDOM / random.chisquare(FREEDOM, size=len(points)))
-        proposed = fit.mode + (heavy[:, None] * normal) @ factor.T
-        return proposed, log_density(points) - log_density(proposed)
+    def propose(z: FloatArray, random: Any) -> tuple[FloatArray, FloatArray]:
+        step = random.standard_normal(z.shape)
+        heavy = np.sqrt(FREEDOM / random.chisquare(FREEDOM, size=len(z)))
+        proposed = normal.mean + (heavy[:, None] * step) @ factor.T
+        return proposed, log_density(z) - log_density(proposed)
 
     return propose
 
 
-def _start(fit: Fit, walkers: int, stream: np.random.Generator) -> FloatArray:
-    """Return the walkers' first points (walkers, p): draws of a wide normal, by their weights."""
-    wide = replace(fit, covariance=WIDER**2 * fit.covariance)
+def _start(normal: Laplace, density: Density, walkers: int, stream: np.random.Generator) -> FloatArray:
+    """Return the walkers' first z (walkers, p): draws of a wide normal, by their weights."""
+    wide = replace(normal, covariance=WIDER**2 * normal.covariance)
     draws = wide.draw(DRAWS * walkers, stream)
-    white = np.linalg.solve(np.linalg.cholesky(wide.covariance), (draws - fit.mode).T)
-    weight = fit.log_posterior(draws) + 0.5 * np.sum(white**2, axis=0)
+    weight = density(draws) + 0.5 * wide.distance(draws)
     # Without putting back: the largest of weights with Gumbel noise (Efraimidis and Spirakis, 2006).
     order = np.argsort(weight + stream.gumbel(size=len(weight)))[::-1]
     start: FloatArray = draws[order[:walkers]]

@@ -5,8 +5,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from made_logs import laboratory_log, made
+from scipy.stats import chi2
 
-from agents.laboratory.identification.calibration import calibrate
+from agents.laboratory.identification.calibration import calibrate, data_set
 from agents.laboratory.identification.consistency import require_motion
 from agents.laboratory.identification.fit import fit
 from agents.laboratory.identification.frequency_response import frequency_response
@@ -203,6 +204,22 @@ def test_a_posterior_is_a_file_and_a_scenarios_uncertainty(tmp_path):
         (tmp_path / "wrong.json").write_text(text.replace(old, new))
         with pytest.raises(FileError):
             read_posterior(tmp_path / "wrong.json")
+
+
+def test_draws_of_the_normal_posterior_explain_a_log_that_tells_a_sum_only():
+    """Leakage and damping of the table damp alike: draws must not leave the ridge of their sum."""
+    scenario = make_scenario("laboratory")
+    prior = default_prior(scenario)
+    _, log = data_set(scenario, prior, np.random.default_rng([0, 5]), 8.0, 0.1, "none")
+    result = identify([log], scenario, prior=prior, samples=200, discrepancy=False)
+    assert result.fit.normal.by_value
+    drop = result.fit.log_posterior(result.fit.mode[None]) - result.fit.log_posterior(
+        result.posterior.points
+    )
+    # Twice the drop is chi-squared with as many degrees of freedom as there are parameters.
+    shares = np.array([0.5, 0.75, 0.9])
+    expected = chi2.ppf(shares, len(prior.names))
+    np.testing.assert_allclose(np.quantile(2.0 * drop, shares), expected, rtol=0.2)
 
 
 @pytest.mark.slow
