@@ -15,6 +15,9 @@ from shake_env.files import write_json
 from shake_env.scenario.digest import scenario_digest
 from shake_env.scenario.scenario import Scenario
 
+SPECIMEN = ("specimen_mass", "storey_stiffness_1", "storey_stiffness_2")
+TESTS = "laboratory_test_"  # stem of results that only compare what one test tells
+
 
 class ResultFile:
     """A JSON file of rows, each of one data set or hidden plant, and of what they come to.
@@ -83,13 +86,17 @@ def laboratory_tables(folder: str | PathLike[str]) -> str | None:
     folder
         With ``laboratory_*.json``, which `shake calibrate` and `shake sequence rehearse` write.
     """
-    parts = []
+    parts, tests = [], []
     for file in sorted(Path(folder).glob("laboratory_*.json")):
         result = json.loads(file.read_text(encoding="utf-8"))
         if result["command"] == "shake calibrate" and "p_values" in result:
-            parts.append(_calibration(file.stem, result))
+            tests.append(result)
+            if not file.stem.startswith(TESTS):
+                parts.append(_calibration(file.stem, result))
         elif result["command"] == "shake sequence rehearse" and "coverage" in result:
             parts.append(_rehearsal(file.stem, result))
+    if len(tests) > 1:
+        parts.append(_tests(tests))
     return "\n".join(parts) if parts else None
 
 
@@ -127,6 +134,32 @@ def _calibration(name: str, result: Mapping[str, Any]) -> str:
             f"{checked['samples']} samples (`{low}` {100 * least:.1f} %, `{high}` {100 * most:.1f} %).\n"
         )
     return text
+
+
+def _tests(results: Sequence[Mapping[str, Any]]) -> str:
+    """Return the table of what one test tells of the specimen, by sensors, drive and channels."""
+    rows = []
+    for result in results:
+        options, errors = result["options"], result["median_error"]
+        drive = options["controller"]
+        current = drive == "none"
+        rows.append(
+            (
+                f"`{result['scenario']}`",
+                "noise of current" if current else f"filtered noise under `{drive}`",
+                "-" if current else f"{options['amplitude']:g}",
+                f"{options['seconds']:g} s",
+                ", ".join(f"`{name}`" for name in options["without"]) or "-",
+                str(result["data_sets"] - len(result["failures"])),
+                *(f"{100 * errors[name]:.2g} %" for name in SPECIMEN),
+            )
+        )
+    head = (
+        "sensors", "drive", "amplitude", "length", "left out", "logs", "specimen's mass",
+        "stiffness of storey 1", "of storey 2",
+    )  # fmt: skip
+    text = "Median error of what one log tells, the parameters drawn from the prior:\n\n"
+    return text + markdown_table(head, rows)
 
 
 def _rehearsal(name: str, result: Mapping[str, Any]) -> str:

@@ -10,6 +10,7 @@ from made_logs import noise
 from rich.console import Console
 
 from agents.cli.commands import parse
+from agents.laboratory.identification import calibration
 from agents.laboratory.identification.damage import damage_after
 from agents.laboratory.result_files import ResultFile, laboratory_tables
 from agents.laboratory.sequence.rehearsal import hidden_truth, rehearse, shake, summary
@@ -224,3 +225,24 @@ def test_the_command_plans_and_says_where_it_stands(tmp_path):
     assert state["calibration"] is None
     with pytest.raises(ParameterError, match="log"):
         parse(f"sequence close --folder {folder}".split()).run(Console(quiet=True))
+
+
+def test_results_of_several_tests_are_one_table_of_what_each_tells(tmp_path):
+    def result(drive, without, error):
+        names = ("specimen_mass", "storey_stiffness_1", "storey_stiffness_2")
+        row = {"ranks": [1, 2, 3], "errors": [error, -error, error], "widths": [0.1] * 3, "seconds": 1.0}
+        options = {"seconds": 8.0, "amplitude": 0.1, "without": without, "controller": drive}
+        head = {"command": "shake calibrate", "scenario": "laboratory", "options": options}
+        return {**head, **calibration.summary(names, [row, row], 10)}
+
+    for stem, *arguments in (
+        ("laboratory_calibration", "none", [], 0.01),
+        ("laboratory_test_a", "lqg", ["load_pressure"], 0.0234),
+    ):
+        (tmp_path / f"{stem}.json").write_text(json.dumps(result(*arguments)))
+    text = laboratory_tables(tmp_path)
+    assert "laboratory_test_a" not in text  # a row of the last table, and none of its own
+    rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| `laboratory`")]
+    assert [row[1] for row in rows] == ["noise of current", "filtered noise under `lqg`"]
+    assert [row[4] for row in rows] == ["-", "`load_pressure`"]
+    assert rows[1][6:] == ["2.3 %", "2.3 %", "2.3 % |"]
