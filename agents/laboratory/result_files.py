@@ -185,4 +185,14 @@ def _rehearsal(name: str, result: Mapping[str, Any]) -> str:
         "hidden plants", "discrepancy", "within 90 %", "error over that of the truth told",
         "error over the nominal design's", "limits broken",
     )  # fmt: skip
-    return text + markdown_table(head, [row])
+    text += markdown_table(head, [row])
+    if result.get("iteration_damage") is not None:
+        text += (
+            "\nEnergy that the specimen took before the last shake, over that of one perfect test, and "
+            f"that shake's base-shear error: {ratio(result['damage'])} and {ratio(result['error'])} in "
+            "the sequence; "
+            f"{ratio(result['iteration_damage'])} and {ratio(result['iteration_error'])} with a "
+            "transfer-function iteration of seven tests with the whole motion, the first of which "
+            "measures the response.\n"
+        )
+    return text

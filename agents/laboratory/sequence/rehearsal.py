@@ -23,6 +23,7 @@ from agents.plain_values import typed
 from agents.policies.own_controller import is_own_controller, own_source
 from agents.policies.registry import get_controller
 from baselines.batch_controllers import Rescaled
+from baselines.iterative.transfer_function_iteration import transfer_function_iteration
 from shake_env.controller import Controller
 from shake_env.errors import ShakeError
 from shake_env.model.parameters import FloatArray, Specimen
@@ -107,7 +108,9 @@ class Rehearsal:
     nominal: float  # of the full shake under the same controller on the nominal specimen
     limits_broken: int
     overridden: int
-    energy: float  # dissipated in the first storey before the last shake [J]
+    damage: float  # energy of the specimen before the last shake, over that of one perfect test [-]
+    iteration_damage: float | None  # the same before the last test of a transfer-function iteration
+    iteration_error: float | None  # base-shear error of that test; None: it could not be done
     failure: str | None = None
 
 
@@ -206,7 +209,7 @@ def _rehearsed(
     inside: dict[str, bool] = {}
     errors: list[float] = []
     broken = overridden = 0
-    specimen, before, spent = NEW, NEW, 0.0
+    specimen, before, energies = NEW, NEW, []
     failure, name = None, controllers[0]
     try:
         for step in range(len(amplitudes)):
@@ -221,8 +224,8 @@ def _rehearsed(
             for quantity, column in outcomes.values.items():
                 low, _, high = belief.interval(quantity)
                 inside[f"{step + 1} {quantity}"] = bool(low <= column[0] <= high)
-            if step + 1 < len(amplitudes):
-                spent += float(outcomes.values["energy"][0])
+            energies.append(float(outcomes.values["energy"][0]))
+            perfect = energies[-1] / float(outcomes.values["energy_ratio"][0])
             errors.append(float(outcomes.values["base_shear_error"][0]))
             broken += bool(outcomes.broken[0])
             sequence, _ = close_shake(sequence, log, discrepancy=discrepancy)
@@ -235,6 +238,7 @@ def _rehearsed(
         which: float(shake(design, truth, name, last, before)[1].values["base_shear_error"][0])
         for which, design in (("informed", _informed(scenario, truth)), ("nominal", scenario))
     }
+    iterated = _iterated(replace(truth, motion=scenario.motion), last)
     return Rehearsal(
         truth=number,
         values=_values(truth),
@@ -244,9 +248,28 @@ def _rehearsed(
         nominal=full["nominal"],
         limits_broken=broken,
         overridden=overridden,
-        energy=spent,
+        damage=sum(energies[:-1]) / perfect if energies else 0.0,
+        iteration_damage=iterated[0],
+        iteration_error=iterated[1],
         failure=failure,
     )
+
+
+def _iterated(truth: Scenario, seed: int) -> tuple[float, float] | tuple[None, None]:
+    """Return damage before the last test of a transfer-function iteration, and that test's error.
+
+    The identification and all repeats but the last one are made with the full motion, each on a specimen
+    as new. None where a limit stops the identification.
+    """
+    quake = [Earthquake("shake", truth.motion, seed)]
+    try:
+        made = transfer_function_iteration(truth, quake)
+    except ShakeError:
+        return None, None
+    *before, last = made.tests.repeats
+    measured = [] if made.identification is None else [made.identification]
+    taken = sum(float(test.energy[0]) for test in [*measured, *before])
+    return taken / float(last.perfect_energy[0]), float(last.shear_error[0])
 
 
 def shake(
@@ -332,6 +355,14 @@ def summary(rehearsals: Items[Rehearsal]) -> dict[str, Any]:
         "error_over_informed": _quantiles(ratios),
         "error_over_nominal": _quantiles(against),
         "limits_broken": sum(each.limits_broken for each in rehearsals),
+        "damage": _quantiles([each.damage for each in done]),
+        "iteration_damage": _quantiles(
+            [each.iteration_damage for each in done if each.iteration_damage is not None]
+        ),
+        "iteration_error": _quantiles(
+            [each.iteration_error for each in done if each.iteration_error is not None]
+        ),
+        "error": _quantiles([each.errors[-1] for each in done]),
         "overridden": sum(each.overridden for each in rehearsals),
         "rows": [asdict(each) for each in rehearsals],
     }

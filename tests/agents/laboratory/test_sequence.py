@@ -178,7 +178,8 @@ def test_a_rehearsal_goes_on_from_its_result_file(tmp_path):
     )
     row = {
         "truth": 0, "values": {}, "inside": {"1 energy": True}, "errors": [0.2], "informed": 0.2,
-        "nominal": 0.4, "limits_broken": 0, "overridden": 0, "energy": 1.0, "failure": None,
+        "nominal": 0.4, "limits_broken": 0, "overridden": 0, "damage": 1.5, "iteration_damage": 6.5,
+        "iteration_error": 0.1, "failure": None,
     }  # fmt: skip
     options = {
         "seed": 0, "amplitudes": (1.0,), "controllers": ("lqg",), "samples": 4, "wider": False,
@@ -189,7 +190,9 @@ def test_a_rehearsal_goes_on_from_its_result_file(tmp_path):
     result = parse(line.split()).run(Console(quiet=True))  # nothing is left to do
     assert result["truths"] == 1 and result["error_over_nominal"] == [0.5, 0.5, 0.5]
     assert json.loads(file.read_text())["rows"] == [row]
-    assert "| from the prior | yes | 100 % | 1.00 [1.00, 1.00] |" in laboratory_tables_of(file, tmp_path)
+    text = laboratory_tables_of(file, tmp_path)
+    assert "| from the prior | yes | 100 % | 1.00 [1.00, 1.00] |" in text
+    assert "6.50 [6.50, 6.50] and 0.10 [0.10, 0.10] with a transfer-function iteration" in text
     other = parse(line.replace("--samples 4", "--samples 5").split())
     with pytest.raises(FileError, match="another options"):
         other.run(Console(quiet=True))
