@@ -20,7 +20,7 @@ from shake_env.scenario.presets import laboratory_noise
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty
 from shake_env.simulation.engine import BoolArray, Observations, StepResult
-from shake_env.simulation.metrics import EpisodeMetrics, Sums
+from shake_env.simulation.metrics import EpisodeMetrics, MetricAccumulator
 from shake_env.simulation.simulation import Simulation, checked_action, earthquake_stream
 from shake_env.simulation.trajectory import Recorder, Trajectory
 
@@ -70,7 +70,7 @@ def recorded_earthquakes(scenario: Scenario) -> list[Earthquake]:
 
     A scenario of several recorded motions, or of a record from a file, gives those. Where the scenario
     limits the stroke, an embedded record is scaled until the table can repeat it
-    (`preparation.fit_amplitude`); `Earthquake.motion` says by what.
+    (`shake_env.motion.processing.fit_amplitude`); `Earthquake.motion` says by what.
     """
     motion = scenario.motion
     if isinstance(motion, MotionSet):
@@ -133,7 +133,7 @@ def rollout(
         One entry an earthquake, in order; trajectories by index.
     """
     simulation, observation = begin(scenario, earthquakes)
-    sums, recorder = Sums(simulation.lanes), Recorder(record)
+    sums, recorder = MetricAccumulator(simulation.lanes), Recorder(record)
     logs = (sums, recorder) if log is None else (sums, recorder, log)
     reasons = run(controller, simulation, observation, logs, on_step)
     names = [quake.name for quake in earthquakes]

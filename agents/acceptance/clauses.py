@@ -31,11 +31,11 @@ _NOTES = "definition from public notes on IEEE 693; the standard's text and its 
 
 @dataclass(frozen=True)
 class Clause:
-    """One clause: what was found, what is asked for, and where that comes from."""
+    """One clause: what was measured, what is required, and where that comes from."""
 
     name: str
     passed: bool
-    found: str
+    measured: str
     required: str
     source: str
 

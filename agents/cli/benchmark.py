@@ -20,10 +20,10 @@ from shake_env.scenario.presets import NAMED
 
 @dataclass(frozen=True, kw_only=True)
 class Benchmark(CommandOptions):
-    """Run every classical controller on every named scenario. Scenarios that are done are kept.
+    """Run every classical controller on every named scenario. Existing results are kept.
 
-    A scenario is done where the folder of results holds a result of the same number of earthquakes and
-    the same controllers. The results that docs/controllers.md shows lie in docs/results.
+    A result is kept if it is of the same controllers and the same number of earthquakes. The results
+    that docs/controllers.md shows are in docs/results.
 
     Try:
       shake benchmark --scenarios laboratory --earthquakes 20
@@ -45,7 +45,7 @@ class Benchmark(CommandOptions):
     page: Path | None = None
     """Markdown page whose tables are renewed from all results."""
     rerun: bool = False
-    """Whether scenarios that are done are run again, and results of other settings replaced."""
+    """Whether existing results are replaced, those of other settings included."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Run what is not done, and say where it lies."""

@@ -33,7 +33,7 @@ class RunExperiments(CommandOptions):
     """
 
     experiments: tuple[str, ...] = ()
-    """Recipes as SCENARIO/ALGORITHM, or patterns such as linear/*; none: all."""
+    """Experiments as SCENARIO/ALGORITHM, or patterns such as linear/*; none: all."""
     seeds: int | None = None
     """Seeds of each experiment (unset: as many as it asks for)."""
     execution: Annotated[ExecutionOptions, tyro.conf.arg(name="")] = field(
@@ -46,7 +46,7 @@ class RunExperiments(CommandOptions):
     evaluate: bool = True
     """Whether the scenarios of these experiments are evaluated when their runs are done."""
     rerun: bool = False
-    """Whether all rows are evaluated anew, of the policies that there are, rather than the new ones."""
+    """Whether all rows are evaluated again, not only those of new policies."""
     dry_run: bool = False
     """Print what would be run, with the minutes expected, and do nothing."""
 
@@ -96,7 +96,7 @@ class RunExperiments(CommandOptions):
                 with progress_bar() as progress:
                     bar = progress.add_task(f"evaluating {task.name}", total=1.0)
 
-                    def told(name: str, share: float, bar: Any = bar, task: Any = task) -> None:
+                    def show_share(name: str, share: float, bar: Any = bar, task: Any = task) -> None:
                         text = f"evaluating {task.name}, {name}"
                         progress.update(bar, completed=share, description=text)
 
@@ -106,7 +106,7 @@ class RunExperiments(CommandOptions):
                         self.results,
                         again=self.rerun,
                         runner=runner,
-                        on_progress=told,
+                        on_progress=show_share,
                     )
             except ShakeError as error:
                 failures[f"evaluation of {task.name}"] = str(error)

@@ -31,7 +31,7 @@ from shake_env.scenario.scenario import Scenario
 
 @dataclass(frozen=True, kw_only=True)
 class Play(CommandOptions):
-    """Show a controller at work in a window, or save it as a film.
+    """Show a simulated test in a window, or save it as a video.
 
     Try:
       shake play
@@ -42,7 +42,7 @@ class Play(CommandOptions):
 
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
     controller: str | None = None
-    """Name of a classical controller, policy, analytic or off-policy (those that ship), or the path of a
+    """Name of a classical controller or of a policy that ships (ppo, apg, dagger, sac), or the path of a
     policy file or run directory (default: LQR, with an estimator where the scenario shows measured
     signals)."""
     record: str | None = None

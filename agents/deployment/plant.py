@@ -44,7 +44,7 @@ def plant_program(
     """
     if scenario.equations != ModelEquations():
         raise ScenarioError("equations", scenario.equations, "the exported table needs corrected ones")
-    model = TableModel.of(scenario)
+    model = TableModel.from_scenario(scenario)
     block = _table(model.dynamics, scenario, *_sensors(scenario))
     provenance = {
         "program": f"shake-env {shake_env.__version__}, {code_version() or 'not a git checkout'}",
@@ -77,7 +77,7 @@ def output_channels(scenario: Scenario) -> tuple[Channel, ...]:
 
 def _sensors(scenario: Scenario) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """Return arrays, integers and numbers of the outputs."""
-    measurement, layout = TableModel.of(scenario).measurement, scenario.observation
+    measurement, layout = TableModel.from_scenario(scenario).measurement, scenario.observation
     arrays: dict[str, Any] = {"floors": floor_rows(scenario.plant, scenario.nonlinearity.yielding)}
     integers: dict[str, Any] = {}
     if layout.reading_names:

@@ -91,9 +91,9 @@ def run_benchmark(
     }
 
 
-def ranked_summaries(found: Comparison) -> list[GroupSummary]:
+def ranked_summaries(comparison: Comparison) -> list[GroupSummary]:
     """Return a benchmark's summaries by cost, no control last."""
-    return sorted(found.summaries, key=lambda row: (row.controller == "none", row.relative_cost))
+    return sorted(comparison.summaries, key=lambda row: (row.controller == "none", row.relative_cost))
 
 
 def scenario_label(scenario_name: str) -> str:

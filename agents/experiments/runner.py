@@ -13,7 +13,7 @@ from agents.execution.environment import folder_token
 from agents.execution.executor import Executor
 from agents.execution.worker import Call, Outcome
 from agents.experiments.catalogue import ExperimentConfig
-from agents.experiments.worker import work
+from agents.experiments.worker import train_run
 from agents.plain_values import typed
 from agents.progress import Progress, display
 from agents.run_directory import CONFIG, PROGRESS, read_json
@@ -73,7 +73,7 @@ class Task:
         command = f"shake run-experiments --experiments {self.experiment.name}"
         return Call(
             self.name,
-            work,
+            train_run,
             (str(self.run), self.config.to_json(), command),
             log=self.log,
             folder=(folder, folder_token(folder)),

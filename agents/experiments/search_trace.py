@@ -217,6 +217,6 @@ def _chosen(knob: Choice, drawn: Sequence[Value]) -> str:
 
 
 def put_searches(page: str | PathLike[str], traces: Sequence[Trace], figures: str = "figures") -> None:
-    """Put all searches into a page, at ``<!-- training searches -->``; see `marked_page.put`."""
+    """Put all searches into a page, at ``<!-- training searches -->``; see `markdown_blocks.put`."""
     page = Path(page)
     put(page, "training searches", "\n".join(search_markdown(trace, figures) for trace in traces))

@@ -118,7 +118,7 @@ def put_tables(page: str | PathLike[str], results: dict[str, dict[str, Any]]) ->
     Raises
     ------
     ParameterError
-        If a place has no end; see `marked_page.put`.
+        If a place has no end; see `markdown_blocks.put`.
     """
     page = Path(page)
     missing = []

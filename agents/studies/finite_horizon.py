@@ -100,13 +100,13 @@ def windowed_cost(scenario: Scenario, window: int, discount: float | None = None
     if discount is None:
         discount = TrainConfig(algorithm="apg").discount(scenario.control_period)
     return _ratio(
-        scenario, ScaledProblem.of(scenario.discrete), windowed_law(scenario, window, discount)
+        scenario, ScaledProblem.from_plant(scenario.discrete), windowed_law(scenario, window, discount)
     )
 
 
 def _problem(scenario: Scenario) -> tuple[ScaledProblem, tuple[FloatArray, FloatArray, FloatArray]]:
     """Return the scaled problem, m states, and its stage Q, R, S: (m, m), (1, 1), (m, 1)."""
-    p = ScaledProblem.of(scenario.discrete)
+    p = ScaledProblem.from_plant(scenario.discrete)
     return p, p.stage(scenario.stage_cost)
 
 

@@ -68,7 +68,7 @@ def laboratory() -> Scenario:
 
 
 def unknown_specimen() -> Scenario:
-    """Return the linear table with laboratory signals under a specimen that nobody has weighed."""
+    """Return the linear table with laboratory signals under a specimen of unknown mass and stiffness."""
     return Scenario(
         name="unknown-specimen",
         specimen=Specimen.uniform(mass_ratio=0.55, storey_frequency=7.0),
@@ -143,7 +143,7 @@ def _in_the_field(sensor: Sensor) -> Sensor:
 def records() -> Scenario:
     """Return the laboratory's table under the embedded records, each scaled until it can be repeated."""
     table = laboratory()
-    capacity = TableCapacity.of(table.actuator, table.specimen, velocity=RATED_VELOCITY)
+    capacity = TableCapacity.from_actuator(table.actuator, table.specimen, velocity=RATED_VELOCITY)
     motions = (
         RecordedMotion(record=name, highpass_frequency=0.2, lowpass_frequency=25.0)
         for name in RECORD_NAMES

@@ -25,7 +25,7 @@ class SequenceCommand(CommandOptions):
 
     plan begins one in --folder. next forecasts the next shake and writes the scenario that its
     controller is designed on; a shake that the forecast calls unsafe is refused. close reads its log,
-    holds the forecast against it, and updates the belief. rehearse runs all of it on hidden plants.
+    compares the forecast with it, and updates the belief. rehearse runs all of it on hidden plants.
 
     Try:
       shake sequence plan --scenario test.toml --folder specimen-7 --controllers lqg tvc
@@ -46,7 +46,7 @@ class SequenceCommand(CommandOptions):
     """plan, rehearse: controllers that the forecasts choose from."""
     prior: Path | None = None
     """plan: first belief, a posterior.json or a TOML file of medians and factors."""
-    keep: float = 0.95
+    required_probability: float = 0.95
     """plan: probability with which every limit must be kept."""
     samples: int = 200
     """plan, rehearse: samples of each forecast."""
@@ -63,7 +63,7 @@ class SequenceCommand(CommandOptions):
     truths: int = 3
     """rehearse: number of hidden plants."""
     well_specified: Flag = False
-    """rehearse: draw them from the prior, not from a wider world than the model."""
+    """rehearse: draw them from the prior, not from a wider class of plants."""
     discrepancy: bool = True
     """close, rehearse: whether an error of the model is estimated."""
     output: Path | None = None
@@ -93,7 +93,7 @@ class SequenceCommand(CommandOptions):
             amplitudes=self.amplitudes,
             controllers=self.controllers,
             prior=None if self.prior is None else read_prior(self.prior, scenario),
-            keep=self.keep,
+            required_probability=self.required_probability,
             samples=self.samples,
             seed=self.seed,
         )
@@ -142,8 +142,8 @@ class SequenceCommand(CommandOptions):
             verdict = "inside" if last.inside.get(name) else "outside"
             rows.append((name, f"{value:.4g}", f"{low:.4g} to {high:.4g}", verdict))
         print_table(console, ("figure", "measured", "forecast", ""), rows, left=(2, 3))
-        for each in result.untold:
-            console.print(f"Not told by the log: {each}", highlight=False, soft_wrap=True)
+        for each in result.unidentified:
+            console.print(f"Not identified by the log: {each}", highlight=False, soft_wrap=True)
         return self._status(console)
 
     def _status(self, console: Console) -> dict[str, Any]:

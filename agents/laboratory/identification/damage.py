@@ -49,7 +49,7 @@ def _damage(scenarios: Sequence[Scenario], logs: Sequence[TestLog]) -> list[Spec
         first.ground,
         first.equations,
     )
-    reference = YieldingReference.of(plant, yielding, first.physics_step)
+    reference = YieldingReference.from_plant(plant, yielding, first.physics_step)
     # The law is homogeneous: at a target and drifts measured in its yield drift every lane has the same.
     unit = yielding.yield_drift / np.array([s.nonlinearity.yielding.yield_drift for s in scenarios])
     slip: FloatArray = np.zeros((number, stories))

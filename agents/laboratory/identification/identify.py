@@ -1,4 +1,4 @@
-"""Identification as one call: logs and files in, fit, posterior and what is not told out."""
+"""Identification as one call: from logs and files to fit, posterior and unidentified parameters."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from agents.laboratory.identification.consistency import require_explained
 from agents.laboratory.identification.fit import Fit, fit
-from agents.laboratory.identification.identifiability import Untold, untold
+from agents.laboratory.identification.identifiability import Unidentified, unidentified
 from agents.laboratory.identification.likelihood import Likelihood, LogData
 from agents.laboratory.identification.parameters import LINEAR, Prior, default_prior, parameter
 from agents.laboratory.identification.posterior import Posterior, read_posterior
@@ -33,7 +33,7 @@ class Identified:
 
     fit: Fit
     posterior: Posterior
-    untold: list[Untold]
+    unidentified: list[Unidentified]
 
 
 def identify(
@@ -65,7 +65,7 @@ def identify(
         Logs of tests that the specimen bore before these, which are in the prior: where storeys yield,
         the specimen begins with what they left.
     without, band
-        Channels that are left out, and the frequencies [Hz] that are fitted; see `LogData.of`.
+        Channels that are left out, and the frequencies [Hz] that are fitted; see `LogData.from_log`.
     discrepancy
         Whether what the model lacks is estimated.
     samples
@@ -84,12 +84,12 @@ def identify(
         at all.
     """
     prior = default_prior(scenario) if prior is None else prior
-    data = [LogData.of(log, scenario, without, band) for log in logs]
+    data = [LogData.from_log(log, scenario, without, band) for log in logs]
     if not data:
         raise LogError("logs", 0, "give at least one")
     plain = replace(scenario, uncertainty=type(Scenario().uncertainty)())
     result = fit(
-        Likelihood.of(plain, prior.names, data, [log.channels[CURRENT] for log in earlier]),
+        Likelihood.from_data(plain, prior.names, data, [log.channels[CURRENT] for log in earlier]),
         prior,
         discrepancy=discrepancy,
         seed=seed,
@@ -102,8 +102,8 @@ def identify(
             on_progress=lambda share: on_progress("sampler", share),
         )  # fmt: skip
     else:
-        posterior = Posterior.of_fit(result, samples, seed)
-    return Identified(result, posterior, untold(result))
+        posterior = Posterior.from_fit(result, samples, seed)
+    return Identified(result, posterior, unidentified(result))
 
 
 def model_of(

@@ -47,7 +47,7 @@ class LogData:
     inside: BoolArray  # (coefficients,) within the band that is fitted
 
     @classmethod
-    def of(
+    def from_log(
         cls,
         log: TestLog,
         scenario: Scenario,
@@ -152,7 +152,7 @@ class Likelihood:
     earlier: tuple[FloatArray, ...] = ()
 
     @classmethod
-    def of(
+    def from_data(
         cls,
         scenario: Scenario,
         names: Sequence[str],

@@ -103,7 +103,7 @@ def sample(
     picked = np.linspace(0, len(flat) - 1, min(samples, len(flat))).astype(int)
     on_progress(1.0)
     return replace(
-        Posterior.of_fit(fit, 1, seed),
+        Posterior.from_fit(fit, 1, seed),
         points=flat[picked],
         method="ensemble",
         r_hat=tuple(r_hat),

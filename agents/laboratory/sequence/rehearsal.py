@@ -1,4 +1,4 @@
-"""The whole loop against simulated laboratories whose truth nobody is told."""
+"""The whole loop against simulated laboratories with hidden plants."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ BIAS = 3.0  # of the sensors' own offsets
 
 
 def hidden_truth(scenario: Scenario, stream: np.random.Generator, *, wider: bool = True) -> Scenario:
-    """Return a plant that the fitted model is not told; its sensors are the scenario's.
+    """Return a hidden plant for identification; its sensors are the scenario's.
 
     Drawn from the scenario's prior. With `wider` what the scenario's uncertainty names is drawn from its
     ranges instead, and the plant lies outside of the model: unequal storeys with Rayleigh damping,

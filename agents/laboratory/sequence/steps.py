@@ -21,6 +21,7 @@ from agents.laboratory.identification.posterior import Posterior
 from agents.laboratory.logs.log_file import write_log
 from agents.laboratory.logs.test_log import TestLog, require_same_test
 from agents.laboratory.sequence.state import Sequence, Shake
+from agents.seeds import FORECAST_SEED, SHAKE_SEEDS
 from shake_env.errors import LogError, ParameterError
 from shake_env.model.parameters import FloatArray
 from shake_env.model.specimen_state import SLIP
@@ -45,7 +46,7 @@ def plan(
     amplitudes: Items[float] = AMPLITUDES,
     controllers: Items[str] = ("lqg",),
     prior: Prior | None = None,
-    keep: float = 0.95,
+    required_probability: float = 0.95,
     probability: float = 0.9,
     samples: int = 200,
     seed: int = 0,
@@ -64,7 +65,7 @@ def plan(
         Among which each forecast chooses.
     prior
         First belief; None: `default_prior`.
-    keep, probability, samples, seed
+    required_probability, probability, samples, seed
         See `agents.laboratory.forecasting.forecast`.
 
     Raises
@@ -77,7 +78,9 @@ def plan(
     if isinstance(scenario.motion, MotionSet):
         raise ParameterError("motion", "a set", "a sequence repeats one motion: name it")
     shakes = tuple(Shake(amplitude) for amplitude in amplitudes)
-    sequence = Sequence(folder, scenario, tuple(controllers), keep, probability, samples, seed, shakes)
+    sequence = Sequence(
+        folder, scenario, tuple(controllers), required_probability, probability, samples, seed, shakes
+    )
     if (folder / "sequence.json").exists():
         raise ParameterError("folder", str(folder), "holds a sequence already: give another")
     folder.mkdir(parents=True, exist_ok=True)
@@ -138,11 +141,11 @@ def next_shake(
         amplitudes=(shake.amplitude,),
         samples=sequence.samples,
         probability=sequence.probability,
-        seed=7_000_000 + 10_000 * number + sequence.seed,
+        seed=FORECAST_SEED + SHAKE_SEEDS * number + sequence.seed,
         runner=runner,
         on_progress=on_progress,
     )
-    chosen = advice(forecasts, sequence.keep)
+    chosen = advice(forecasts, sequence.required_probability)
     folder = sequence.shake_folder(number + 1)
     if page:
         write_page(forecasts, chosen, f"Shake {number + 1}, amplitude {shake.amplitude:g}", folder)

@@ -253,7 +253,7 @@ def test_every_network_is_exported(unit, gates, direct, activation, output):
 def test_the_adaptive_controller_is_exported(scenario, masses):
     uncertain = Uncertainty(mass_ratio=masses, storey_frequency=Uniform(5.0, 9.0))
     scenario = replace(make_scenario(scenario, {"duration": 1.0}), uncertainty=uncertain)
-    controller = CertaintyEquivalence(scenario, SpecimenBank.of(scenario, 3, 2))
+    controller = CertaintyEquivalence(scenario, SpecimenBank.from_scenario(scenario, 3, 2))
     decisions = record_decisions(controller, scenario, noise_earthquakes(scenario, 3))
     program = as_program(controller, scenario, "made", "certainty equivalence", {"made": "here"})
     assert_exact(differences(CompiledProgram(program), decisions))
@@ -321,7 +321,7 @@ def test_a_constant_has_exactly_its_value(value):
 @pytest.mark.parametrize("name", ["linear", "laboratory", "yielding", "unknown-specimen", "field"])
 def test_the_exported_table_moves_as_the_simulated_one(name):
     scenario = make_scenario(name)
-    program, model = plant_program(scenario), TableModel.of(scenario)
+    program, model = plant_program(scenario), TableModel.from_scenario(scenario)
     compiled = CompiledProgram(program)
     memory, sensors = compiled.begin(1), model.measurement.rest(1)
     rows = floor_rows(scenario.plant, scenario.nonlinearity.yielding)

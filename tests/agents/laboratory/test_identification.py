@@ -109,7 +109,7 @@ def test_a_fit_finds_what_was_put_in():
 def test_what_a_log_cannot_tell_is_named_with_the_excitation_that_would():
     log = laboratory_log()
     result = identify([log], log.scenario, samples=10)
-    words = {each.names: str(each) for each in result.untold}
+    words = {each.names: str(each) for each in result.unidentified}
     assert "as wide as the prior" in words["leakage",]
     assert "large load pressure at low velocity" in words["leakage",]
     assert all(abs(result.fit.correlation[0, i]) <= 1.0 for i in range(3))
@@ -122,9 +122,9 @@ def test_what_the_model_lacks_is_estimated_and_widens_the_posterior():
     friction = replace(parts.friction, static=320.0, coulomb=200.0)
     driven = replace(scenario, nonlinearity=replace(parts, friction=friction))
     log = made(scenario, driven=driven, seconds=5.0, amplitude=0.05)
-    prior, data = default_prior(scenario), [LogData.of(log, scenario)]
-    with_it = fit(Likelihood.of(scenario, prior.names, data), prior)
-    without = fit(Likelihood.of(scenario, prior.names, data), prior, discrepancy=False)
+    prior, data = default_prior(scenario), [LogData.from_log(log, scenario)]
+    with_it = fit(Likelihood.from_data(scenario, prior.names, data), prior)
+    without = fit(Likelihood.from_data(scenario, prior.names, data), prior, discrepancy=False)
     assert max(share.max() for share in with_it.likelihood.shares) > 0.003
     assert np.all(with_it.deviations > 0.99 * without.deviations)
     assert with_it.deviations[-2] > 1.3 * without.deviations[-2]
@@ -144,7 +144,7 @@ def test_shuffled_channels_are_refused_by_name():
 def test_a_log_of_another_rate_or_table_is_refused(tmp_path):
     log = laboratory_log()
     with pytest.raises(LogError, match="another rate"):
-        LogData.of(replace(log, sampling_interval=0.004), log.scenario)
+        LogData.from_log(replace(log, sampling_interval=0.004), log.scenario)
     (tmp_path / "table.toml").write_text(
         'schema = 1\nbase = "laboratory"\n[actuator]\npiston_area = "30 cm^2"\n'
     )
@@ -209,8 +209,8 @@ def test_a_posterior_is_a_file_and_a_scenarios_uncertainty(tmp_path):
 def test_samples_of_a_normal_posterior_are_normal():
     log = laboratory_log()
     prior = default_prior(log.scenario, ["coulomb_friction", "bulk_modulus", "specimen_mass"])
-    data = [LogData.of(log, log.scenario)]
-    result = fit(Likelihood.of(log.scenario, prior.names, data), prior)
+    data = [LogData.from_log(log, log.scenario)]
+    result = fit(Likelihood.from_data(log.scenario, prior.names, data), prior)
     posterior = sample(result, moves=60, seed=1)
     again = sample(result, moves=60, seed=1)
     assert np.array_equal(posterior.points, again.points)
@@ -280,7 +280,7 @@ def test_a_frequency_response_is_that_of_the_plant():
 def test_posterior_of_a_fit_has_its_seed():
     log = laboratory_log()
     result = identify([log], log.scenario, samples=10, seed=3)
-    assert np.array_equal(Posterior.of_fit(result.fit, 10, 3).points, result.posterior.points)
+    assert np.array_equal(Posterior.from_fit(result.fit, 10, 3).points, result.posterior.points)
 
 
 def rows_of_ranks(ranks, p):

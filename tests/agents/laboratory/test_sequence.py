@@ -36,7 +36,7 @@ test_bed.__test__ = False
 
 
 def begun(folder):
-    return plan(folder, test_bed(), amplitudes=(0.5, 1.0), samples=12, keep=0.2)
+    return plan(folder, test_bed(), amplitudes=(0.5, 1.0), samples=12, required_probability=0.2)
 
 
 def test_a_sequence_goes_from_plan_to_last_shake(tmp_path):
@@ -148,7 +148,7 @@ def test_damage_follows_from_the_logs():
 def test_damage_is_part_of_the_belief(tmp_path):
     scenario = yielding_bed()
     folder = tmp_path / "one"
-    plan(folder, scenario, amplitudes=(0.8, 1.0), samples=12, keep=0.1)
+    plan(folder, scenario, amplitudes=(0.8, 1.0), samples=12, required_probability=0.1)
     truth = hidden_truth(scenario, np.random.default_rng(4), wider=False)
     sequence, _ = next_shake(read_sequence(folder), override="a test")
     log, _, specimen = shake(designed_on(sequence), truth, "lqg", 1)
