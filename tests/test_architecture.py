@@ -3,6 +3,7 @@
 import ast
 import re
 import sys
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -55,6 +56,7 @@ ROOMS = """
     shake_env/files
     shake_env/errors shake_env/renamed
 """
+IMPORTERS = ("import_module", "compiled_module", "__import__", "find_spec")
 LEARNING = {"torch", "stable_baselines3", "sb3_contrib", "tensorboard"}
 SHOWING = {"matplotlib", "rich", "tyro", "plotly", "jinja2"}
 # What a package or room may import besides the standard library and this project. A room's own line
@@ -99,6 +101,7 @@ def sources():
             yield ".".join(parts[:-1] if parts[-1] == "__init__" else parts), path
 
 
+@cache
 def imports(text, names=frozenset()):
     """Modules that a source imports anywhere, in functions and by name too.
 
@@ -115,9 +118,32 @@ def imports(text, names=frozenset()):
                 modules.add(whole if whole in names else node.module)
         elif isinstance(node, ast.Call):
             called = getattr(node.func, "attr", getattr(node.func, "id", ""))
-            if called in ("import_module", "compiled_module", "__import__", "find_spec"):
+            if called in IMPORTERS:
                 modules |= {a.value for a in node.args[:1] if isinstance(a, ast.Constant)}
     return modules
+
+
+# Modules that import by a name that is no literal, which `imports` cannot see, and what they import.
+BY_VARIABLE = {
+    "agents.cli.commands": "modules of its own table, all in agents.cli",
+    "agents.laboratory.logs.hdf5_file": "a library",
+    "agents.policies.own_controller": "a module of the user's",
+    "baselines.planning.model": "compiled modules of its own room",
+    "shake_env.command_line": "nothing: whether a library can be found",
+    "shake_env.lazy": "modules of the package that calls it",
+    "shake_env.numba_support": "what a caller names in `compiled_module`",
+}
+
+
+def imports_by_variable(text):
+    """Lines of a source that import a module by a name that is no literal."""
+    return [
+        node.lineno
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Call)
+        and getattr(node.func, "attr", getattr(node.func, "id", "")) in IMPORTERS
+        and not (node.args and isinstance(node.args[0], ast.Constant))
+    ]
 
 
 def upward(module, text, names, ranks):
@@ -150,16 +176,56 @@ def test_imports_lead_downwards(module, path):
     assert upward(module, path.read_text(encoding="utf-8"), NAMES, ranks) == []
 
 
+def test_imports_by_a_variable_are_known():
+    texts = {name: path.read_text(encoding="utf-8") for name, path in sources()}
+    assert {name for name, text in texts.items() if imports_by_variable(text)} == set(BY_VARIABLE)
+    assert imports_by_variable("def f(x):\n    import_module(x)\n    import_module(f'agents.{x}')") == [
+        2,
+        3,
+    ]
+
+
+def circle(edges):
+    """The first circle of a graph given as pairs, as a text; empty: there is none."""
+    graph = {}
+    for start, end in edges:
+        graph.setdefault(start, set()).add(end)
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return " -> ".join(error.args[1])
+    return ""
+
+
+def folder_edges(pairs):
+    """Imports between folders of which none holds the other, given imports between modules."""
+    folders = {(a.rpartition(".")[0], b.rpartition(".")[0]) for a, b in pairs}
+    return {
+        (a, b) for a, b in folders if not f"{a}.".startswith(f"{b}.") and not f"{b}.".startswith(f"{a}.")
+    }
+
+
+def test_no_circle_of_folders():
+    """Also between the folders of one room, which the table of rooms does not order."""
+    pairs = {
+        (name, each)
+        for name, path in sources()
+        if path.name != "__init__.py"
+        for each in imports(path.read_text(encoding="utf-8"), NAMES) & NAMES
+        if name.count(".") > 1 and each.count(".") > 1  # single files of a package have lines in ROOMS
+    }
+    assert circle(folder_edges(pairs)) == ""
+    logs, fit = "agents.laboratory.logs.raw", "agents.laboratory.identification.fit"
+    assert "laboratory.logs" in circle(folder_edges(pairs | {(logs, fit)}))
+
+
 def test_no_circle_of_modules():
     graph = {
         name: (imports(path.read_text(encoding="utf-8"), NAMES) & NAMES) - {name}
         for name, path in sources()
         if path.name != "__init__.py"  # holds names of its modules, which never ask for it
     }
-    try:
-        TopologicalSorter(graph).prepare()
-    except CycleError as error:
-        pytest.fail(" -> ".join(error.args[1]))
+    assert circle((name, each) for name, others in graph.items() for each in others) == ""
 
 
 def test_modules_of_a_package_import_from_modules_and_not_from_its_front():
@@ -294,6 +360,19 @@ def test_a_folder_has_at_most_twenty_files():
         for folder in [ROOT / package, *(p for p in (ROOT / package).rglob("*") if p.is_dir())]:
             files = [p for p in folder.glob("*.py") if p.name != "__init__.py"]
             assert len(files) <= 20, folder.relative_to(ROOT)
+
+
+def test_the_folders_of_tests_are_those_of_the_packages():
+    """The tests of a folder are in its namesake, or in that of the folder above it."""
+    for package in ("shake_env", "baselines", "agents"):
+        folders = {p.relative_to(ROOT) for p in (ROOT / package).rglob("*") if any(p.glob("*.py"))}
+        tested = {
+            p.relative_to(ROOT / "tests")
+            for p in (ROOT / "tests" / package).rglob("*")
+            if any(p.glob("*.py"))
+        }
+        assert tested <= folders
+        assert all({folder, folder.parent} & tested for folder in folders)
 
 
 @pytest.mark.parametrize(
