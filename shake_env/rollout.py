@@ -132,16 +132,18 @@ def rollout(
     metrics, trajectories
         One entry an earthquake, in order; trajectories by index.
     """
-    simulation, observation = begin(scenario, earthquakes)
+    simulation, observation = begin_rollout(scenario, earthquakes)
     sums, recorder = MetricAccumulator(simulation.lanes), Recorder(record)
     logs = (sums, recorder) if log is None else (sums, recorder, log)
-    reasons = run(controller, simulation, observation, logs, on_step)
+    reasons = run_rollout(controller, simulation, observation, logs, on_step)
     names = [quake.name for quake in earthquakes]
     metrics = sums.metrics(names, simulation.episode_steps, reasons)
     return metrics, recorder.trajectories(scenario.physics_step, scenario.control_period)
 
 
-def begin(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[Simulation, Observations]:
+def begin_rollout(
+    scenario: Scenario, earthquakes: Sequence[Earthquake]
+) -> tuple[Simulation, Observations]:
     """Return the tables of a roll-out at the start of their earthquakes, and their observations.
 
     Raises
@@ -161,21 +163,21 @@ def begin(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[Simula
     return simulation, observation
 
 
-def run(
+def run_rollout(
     controller: Controller,
     simulation: Simulation,
     observation: Observations,
     logs: Sequence[PeriodLog],
     on_step: Callable[[float], None] = lambda share: None,
 ) -> list[str | None]:
-    """Run a controller on a roll-out's tables that `begin` started; return what ended each lane.
+    """Run a controller on a roll-out's tables that `begin_rollout` started; return what ended each lane.
 
     Parameters
     ----------
     controller, on_step
         See `rollout`.
     simulation, observation
-        Of `begin`.
+        Of `begin_rollout`.
     logs
         Each told every control period.
     """

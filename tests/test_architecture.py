@@ -1,6 +1,7 @@
 """Who may import whom: downwards between rooms, no circle, nothing that a room may not need."""
 
 import ast
+import itertools
 import re
 import sys
 from functools import cache
@@ -244,6 +245,28 @@ def test_libraries_are_those_of_the_room(module, path):
         assert "control" not in outside, "control design belongs in baselines"
     else:
         assert outside <= allowed
+
+
+def arrows(picture):
+    """Pairs of names that arrows of a mermaid flowchart join, ``a & b --> c --> d`` taken apart."""
+    for line in picture.splitlines():
+        groups = [[name.strip() for name in part.split("&")] for part in line.split("-->")]
+        for above, below in itertools.pairwise(groups):
+            yield from itertools.product(above, below)
+
+
+def test_the_picture_of_the_rooms_is_that_of_the_table():
+    """Every arrow leads downwards in ROOMS, and every folder is in the picture."""
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    ranks, pairs = rank(), list(arrows(text.split("```mermaid")[1].split("```")[0]))
+    rooms = {
+        name: {room for room in ranks if room.endswith(f"/{name}")} for pair in pairs for name in pair
+    }
+    for above, below in pairs:
+        assert rooms[above] and rooms[below], (above, below)
+        assert min(ranks[a] for a in rooms[above]) > min(ranks[b] for b in rooms[below]), (above, below)
+    folders = {room for room in ranks if (ROOT / room).is_dir()}
+    assert folders <= set().union(*rooms.values())
 
 
 @pytest.mark.parametrize("entry", ["agents.policies", "shake_env", "baselines"])

@@ -53,11 +53,11 @@ class RunExperiments(CommandOptions):
     def run(self, console: Console) -> dict[str, Any]:
         """Run, evaluate, and say what failed."""
         from agents.experiments.catalogue import EXPERIMENTS
-        from agents.experiments.runner import Campaign, plan, plan_rows
+        from agents.experiments.runner import Campaign, plan_rows, plan_runs
 
         if self.seeds is not None and self.seeds < 1:
             raise ParameterError("seeds", self.seeds, "must be at least 1")
-        tasks = plan(EXPERIMENTS, self.folder, self.experiments, self.seeds)
+        tasks = plan_runs(EXPERIMENTS, self.folder, self.experiments, self.seeds)
         campaign = Campaign(tasks, self.execution.processes or 2)
         if self.dry_run:
             rows = plan_rows(tasks)

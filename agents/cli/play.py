@@ -18,7 +18,7 @@ from rich.markup import escape
 from agents.cli.command_options import CommandOptions
 from agents.cli.output_path import require_writable_file
 from agents.progress import progress_bar
-from agents.reporting.video import FILMS, film
+from agents.reporting.video import FILMS, write_video
 from agents.scenario_options import ScenarioOptions
 from shake_env import ShakeTableEnv
 from shake_env.controller import Controller, decide
@@ -91,7 +91,7 @@ class Play(CommandOptions):
         else:
             with progress_bar() as progress:
                 task = progress.add_task("film", total=1.0)
-                frames = film(
+                frames = write_video(
                     self.save, episode.frames(lambda share: progress.update(task, completed=share))
                 )
             console.print(f"wrote {escape(str(self.save))}")

@@ -90,7 +90,7 @@ class Robustness(FolderOptions):
         return result
 
     def _renew(self, console: Console) -> dict[str, Any]:
-        from agents.reporting.markdown_blocks import put
+        from agents.reporting.markdown_blocks import put_block
         from agents.reporting.robustness_figures import draw_robustness
         from agents.reporting.robustness_tables import (
             PREFIX,
@@ -119,7 +119,7 @@ class Robustness(FolderOptions):
             result = read_robustness(file)
             pictures = [p for p in draw_robustness(result, page.parent / "figures", svg=False)]
             shown = robustness_section(result, [p.relative_to(page.parent) for p in pictures])
-            put(page, f"robustness {name}", shown, end=name)
+            put_block(page, f"robustness {name}", shown, end=name)
             written += [str(path) for path in (file, *pictures)]
             console.print(f"wrote {file} and {len(pictures)} figures")
         console.print(f"wrote {page}: then renew the cards with shake model-card")

@@ -18,7 +18,7 @@ from agents.deployment.compiled import CompiledController, CompiledProgram, buil
 from agents.deployment.controller_program import controller_program
 from agents.deployment.program import Program
 from agents.deployment.recorded import RecordedDecisions, record_decisions
-from agents.deployment.widened import widened
+from agents.deployment.widened import to_float64
 from shake_env.controller import decide
 from shake_env.errors import NumericalError
 from shake_env.model.parameters import FloatArray
@@ -97,11 +97,11 @@ def agreement(
     ours, _ = rollout(single, scenario, quakes[:LOOPED])
     theirs, _ = rollout(controller, scenario, quakes[:LOOPED])
     costs = [abs(a.cost - b.cost) / b.cost for a, b in zip(ours, theirs, strict=True)]
-    reference = widened(controller)
+    reference = to_float64(controller)
     periods = RECORDS_PERIODS if scenario.reserved_for_testing else PERIODS
     decisions = record_decisions(reference, scenario, quakes, periods)
     double = CompiledProgram(program)
-    difference = differences(double, decisions)
+    difference = action_differences(double, decisions)
     rows = random_observations(scenario, random)
     outputs, codes = double.step(double.begin(random), rows)
     finite = np.isfinite(rows).all(axis=1)
@@ -117,7 +117,7 @@ def agreement(
         decisions=difference.size,
         largest=float(difference.max()),
         exceptions=int(np.sum(difference > EXACT)),
-        single=float(differences(single, decisions).max()),
+        single=float(action_differences(single, decisions).max()),
         cost=float(max(costs)),
         random=random,
         random_largest=float(np.abs(outputs[taken] - actions[taken]).max()),
@@ -126,7 +126,7 @@ def agreement(
     )
 
 
-def differences(compiled: CompiledProgram, decisions: RecordedDecisions) -> FloatArray:
+def action_differences(compiled: CompiledProgram, decisions: RecordedDecisions) -> FloatArray:
     """Return the difference of each decision (periods, tables) from the recorded one."""
     memory = compiled.begin(decisions.actions.shape[1])
     difference = np.empty(decisions.actions.shape)
@@ -152,7 +152,7 @@ def random_observations(scenario: Scenario, number: int, seed: int = 0) -> NDArr
     return np.clip(rows, -OBSERVATION_BOUND, OBSERVATION_BOUND, where=np.isfinite(rows), out=rows)
 
 
-def streamed(
+def run_test_program(
     test: Sequence[str | Path], fresh: NDArray[Any], observations: NDArray[Any], outputs: int = 1
 ) -> tuple[FloatArray, FloatArray]:
     """Return codes (periods,) and outputs (periods, outputs) of a compiled test program.
@@ -205,7 +205,7 @@ def memory_checks(
                 done = subprocess.run([str(test)], capture_output=True, text=True, check=False)
                 if done.returncode or not done.stdout.startswith("ok"):
                     raise NumericalError(cc, program.name, (done.stdout + done.stderr)[-2000:])
-                streamed([test], fresh, stream)
+                run_test_program([test], fresh, stream)
                 checked.append(cc)
         if shutil.which("valgrind"):
             test = build_test(folder, program.name, ("-O1", "-g"))
@@ -216,6 +216,6 @@ def memory_checks(
                 "-q",
                 test,
             ]
-            streamed(command, fresh, stream)
+            run_test_program(command, fresh, stream)
             checked.append("valgrind")
     return tuple(checked)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.policies.policy_file import PolicyFile, file_digest, load_policy
-from agents.reporting.evaluation_tables import interval
+from agents.reporting.evaluation_tables import interval_text
 from agents.reporting.figures.training_curve import draw_training_curve
 from agents.reporting.markdown_blocks import markdown_table
 from agents.reporting.robustness_tables import read_robustness, robustness_findings
@@ -199,7 +199,7 @@ def _evaluation(result: dict[str, Any], row: dict[str, Any], sha: str) -> list[s
         ]
     same = result["reference"] == result["normaliser"]
     figures = [
-        (title.format(**result), interval(row[key], digits, scale))
+        (title.format(**result), interval_text(row[key], digits, scale))
         for key, title, digits, scale in ROWS
         if row[key] is not None and not (same and key == "reference_cost")
     ]

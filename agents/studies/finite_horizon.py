@@ -1,4 +1,4 @@
-"""What looking ahead a finite time costs a learner, before it has learned anything.
+"""Cost of a finite horizon: what a discount or a short window adds to the optimal cost.
 
 On a linear plant the law that a learner converges to is a linear one, whose stationary cost is exact.
 Under a discount it solves a Riccati equation. Under gradients through windows it is where the expected

@@ -1,4 +1,4 @@
-"""How much of a score-function gradient is signal: estimators beside the exact gradient.
+"""Signal and noise of score-function gradients: estimators beside the exact gradient.
 
 A policy explores about a base controller with white noise of standard deviation s. Any such gradient
 is a mean of ``A_t e_t phi_t / s``, with e the standard normal exploration, phi what the policy sees and

@@ -1,4 +1,4 @@
-"""Artificial earthquakes for training: what a table may be asked for beside a scenario's own noise.
+"""Artificial earthquakes for training, beside a scenario's own noise.
 
 Filtered noise of one spectrum, within its stroke, teaches a policy little about motions that use all of
 it. These have spectra, lengths and envelopes of their own, none of them taken from a record, and each is

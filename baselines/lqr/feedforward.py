@@ -1,4 +1,4 @@
-"""LQR with friction and valve feed-forward: what a good engineer adds for a table that is not linear.
+"""LQR with friction and valve feed-forward, for a nonlinear table.
 
 Friction and what an orifice withholds are disturbances that the controller knows in advance as well as
 it knows the table's velocity, spool and pressure. The nominal closed loop predicts these for the coming

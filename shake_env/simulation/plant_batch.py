@@ -21,7 +21,7 @@ from shake_env.dynamics.nonlinear import (
 )
 from shake_env.errors import ScenarioError
 from shake_env.model.discretization import MOST_DIRECTIONS, DiscretePlant
-from shake_env.model.parameters import FloatArray, stacked, unchecked
+from shake_env.model.parameters import FloatArray, replace_unchecked, stacked
 from shake_env.model.plant import CoupledPlant
 from shake_env.model.specimen_state import SpecimenState
 from shake_env.numba_support import compiled_module
@@ -141,7 +141,7 @@ class PlantBatch:
         )
         parts, step, k = scenario.parts, scenario.physics_step, scenario.substeps
         valve = stacked([true.nonlinearity.valve for true in drawn])
-        own_parts = unchecked(parts, valve=valve) if parts.valve.active else parts
+        own_parts = replace_unchecked(parts, valve=valve) if parts.valve.active else parts
         dynamics = NonlinearDynamics.from_plant(
             plant,
             own_parts,

@@ -63,7 +63,12 @@ class ForecastCommand(FolderOptions):
     def run(self, console: Console) -> dict[str, Any]:
         """Forecast, print, write."""
         from agents.laboratory.forecasting.forecast import advice, forecast
-        from agents.laboratory.forecasting.page import cells, headings, to_json, write_page
+        from agents.laboratory.forecasting.page import (
+            forecast_cells,
+            forecast_headings,
+            forecast_to_json,
+            write_page,
+        )
         from agents.laboratory.identification.posterior import read_posterior
         from shake_env.files import write_json
 
@@ -99,7 +104,7 @@ class ForecastCommand(FolderOptions):
                 on_progress=on_progress,
             )
         chosen = advice(forecasts, self.required_probability)
-        print_table(console, headings(), [cells(each) for each in forecasts], names=2)
+        print_table(console, forecast_headings(), [forecast_cells(each) for each in forecasts], names=2)
         for each in forecasts:
             console.print(
                 f"{each.controller}, amplitude {each.amplitude:g}: {each.coupling}", soft_wrap=True
@@ -107,7 +112,7 @@ class ForecastCommand(FolderOptions):
         console.print(escape(f"Use {chosen.controller}: {chosen.reason}"), soft_wrap=True)
         result = {
             "scenario": scenario.name,
-            "forecasts": [to_json(each) for each in forecasts],
+            "forecasts": [forecast_to_json(each) for each in forecasts],
             "advice": asdict(chosen),
         }
         if folder is not None:

@@ -98,7 +98,7 @@ class Identify(FolderOptions):
 
 def describe(result: Any) -> dict[str, Any]:
     """Return an identification as plain JSON values."""
-    from agents.laboratory.identification.parameters import from_scale, parameter
+    from agents.laboratory.identification.parameters import find_parameter, from_scale
 
     fit, posterior = result.fit, result.posterior
     intervals, prior = posterior.interval(), fit.prior
@@ -109,7 +109,7 @@ def describe(result: Any) -> dict[str, Any]:
         rows.append(
             {
                 "name": name,
-                "unit": parameter(name).unit,
+                "unit": find_parameter(name).unit,
                 "value": posterior.mean[name],
                 "low": low,
                 "high": high,

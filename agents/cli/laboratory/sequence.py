@@ -84,10 +84,10 @@ class SequenceCommand(CommandOptions):
 
     def _plan(self, console: Console) -> dict[str, Any]:
         from agents.laboratory.identification.identify import read_prior
-        from agents.laboratory.sequence.steps import plan
+        from agents.laboratory.sequence.steps import plan_sequence
 
         scenario = ScenarioOptions(self.scenario).build()
-        plan(
+        plan_sequence(
             self.folder,
             scenario,
             amplitudes=self.amplitudes,
@@ -100,7 +100,7 @@ class SequenceCommand(CommandOptions):
         return self._status(console)
 
     def _next(self, console: Console) -> dict[str, Any]:
-        from agents.laboratory.forecasting.page import cells, headings
+        from agents.laboratory.forecasting.page import forecast_cells, forecast_headings
         from agents.laboratory.sequence.state import read_sequence
         from agents.laboratory.sequence.steps import next_shake
 
@@ -109,7 +109,7 @@ class SequenceCommand(CommandOptions):
             sequence, forecasts = next_shake(
                 sequence, override=self.override, runner=runner, on_progress=on_progress
             )
-        print_table(console, headings(), [cells(each) for each in forecasts], names=2)
+        print_table(console, forecast_headings(), [forecast_cells(each) for each in forecasts], names=2)
         where = self.folder / f"shake_{sequence.number + 1}"
         number, controller = sequence.number + 1, sequence.next.controller
         text = f"Shake {number}: use {controller}, designed on {where}/test.toml"
@@ -171,7 +171,7 @@ class SequenceCommand(CommandOptions):
 
     def _rehearse(self, console: Console) -> dict[str, Any]:
         from agents.laboratory.result_files import ResultFile
-        from agents.laboratory.sequence.rehearsal import Rehearsal, rehearse, summary
+        from agents.laboratory.sequence.rehearsal import Rehearsal, rehearsal_summary, rehearse_sequences
 
         if self.truths < 1:
             raise ParameterError("truths", self.truths, "must be at least 1")
@@ -188,7 +188,7 @@ class SequenceCommand(CommandOptions):
             require_writable_file(self.output, "output")
         file = ResultFile(self.output, "shake sequence rehearse", scenario, options)
         with self.execution.open_runner() as runner, progress_by_name() as on_progress:
-            rehearsals = rehearse(
+            rehearsals = rehearse_sequences(
                 scenario,
                 truths=self.truths,
                 runner=runner,
@@ -197,7 +197,7 @@ class SequenceCommand(CommandOptions):
                 on_progress=on_progress,
                 **options,
             )
-        result = summary(rehearsals)
+        result = rehearsal_summary(rehearsals)
         names = ("coverage", "error_over_informed", "error_over_nominal", "limits_broken", "overridden")
         for name in names:
             console.print(f"{name}: {result[name]}", highlight=False)

@@ -16,9 +16,9 @@ from agents.laboratory.identification.consistency import require_explained
 from agents.laboratory.identification.fit import Fit, fit
 from agents.laboratory.identification.identifiability import Unidentified, unidentified
 from agents.laboratory.identification.likelihood import Likelihood, LogData
-from agents.laboratory.identification.parameters import LINEAR, Prior, default_prior, parameter
+from agents.laboratory.identification.parameters import LINEAR, Prior, default_prior, find_parameter
 from agents.laboratory.identification.posterior import Posterior, read_posterior
-from agents.laboratory.identification.sampler import sample
+from agents.laboratory.identification.sampler import sample_posterior
 from agents.laboratory.logs.test_log import CURRENT, TestLog, require_same_test
 from shake_env.errors import LogError, ParameterError, unknown
 from shake_env.files import no_file
@@ -97,7 +97,7 @@ def identify(
     )
     require_explained(result)
     if sampler_seconds > 0.0 or sampler_moves is not None:
-        posterior = sample(
+        posterior = sample_posterior(
             result, samples=samples, seconds=sampler_seconds, moves=sampler_moves, seed=seed,
             on_progress=lambda share: on_progress("sampler", share),
         )  # fmt: skip
@@ -193,13 +193,13 @@ def read_prior(file: str | os.PathLike[str], scenario: Scenario) -> Prior:
     if names is not None and not (isinstance(names, list) and all(isinstance(n, str) for n in names)):
         raise ParameterError(f"{file}, parameters", names, "must be a list of names")
     for name in names or ():
-        parameter(name)
+        find_parameter(name)
     given = {name: _given(name, entry, f"{file}, {name}", scenario) for name, entry in content.items()}
     return default_prior(scenario, names, given)
 
 
 def _given(name: str, entry: Any, place: str, scenario: Scenario) -> tuple[float, float]:
-    unit = parameter(name).unit
+    unit = find_parameter(name).unit
     middle, width = ("mean", "deviation") if name in LINEAR else ("median", "factor")
     if not isinstance(entry, dict) or middle not in entry or width not in entry:
         raise ParameterError(place, entry, f"must be a table with {middle} and {width}")

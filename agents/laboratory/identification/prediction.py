@@ -35,7 +35,7 @@ class Predicted:
     energy: FloatArray  # (N,) dissipated in the first storey [J]; zeros where none yield
 
 
-def predicted(
+def predict_response(
     scenarios: Sequence[Scenario],
     current: FloatArray,
     channels: Sequence[str],

@@ -30,7 +30,7 @@ class Shake:
 
     amplitude: float  # [-] of the full motion
     controller: str | None = None  # chosen by the forecast; None: not forecast yet
-    forecast: Mapping[str, Any] | None = None  # its intervals, as `page.to_json` writes them
+    forecast: Mapping[str, Any] | None = None  # its intervals, as `page.forecast_to_json` writes them
     override: str | None = None  # reason why an unsafe shake is made all the same
     log: tuple[str, str] | None = None  # name and digest of the log that closed it
     measured: Mapping[str, float] | None = None  # rms and peak of each channel

@@ -12,11 +12,11 @@ import numpy as np
 
 from agents.execution.units import UnitRunner
 from agents.laboratory.forecasting.forecast import Forecast, advice, forecast
-from agents.laboratory.forecasting.page import to_json, write_page
+from agents.laboratory.forecasting.page import forecast_to_json, write_page
 from agents.laboratory.identification.consistency import require_motion
 from agents.laboratory.identification.damage import damage_after
 from agents.laboratory.identification.identify import Identified, identify
-from agents.laboratory.identification.parameters import Prior, default_prior, plants
+from agents.laboratory.identification.parameters import Prior, default_prior, plants_at
 from agents.laboratory.identification.posterior import Posterior
 from agents.laboratory.logs.log_file import write_log
 from agents.laboratory.logs.test_log import TestLog, require_same_test
@@ -35,11 +35,11 @@ from shake_env.sequence_env import AMPLITUDES, rising_amplitudes
 Progress = Callable[[str, float], None]
 
 
-def silent(what: str, share: float) -> None:
+def no_progress(what: str, share: float) -> None:
     """Say nothing."""
 
 
-def plan(
+def plan_sequence(
     folder: str | os.PathLike[str],
     scenario: Scenario,
     *,
@@ -113,7 +113,7 @@ def next_shake(
     override: str | None = None,
     page: bool = True,
     runner: UnitRunner | None = None,
-    on_progress: Progress = silent,
+    on_progress: Progress = no_progress,
 ) -> tuple[Sequence, list[Forecast]]:
     """Forecast the next shake on the present belief, choose its controller, and write its scenario.
 
@@ -158,7 +158,7 @@ def next_shake(
     best = next(each for each in forecasts if each.controller == chosen.controller)
     sequence = sequence.with_next(
         controller=chosen.controller,
-        forecast=to_json(best),
+        forecast=forecast_to_json(best),
         override=override if chosen.amplitude == 0.0 else None,
     )
     write_scenario(designed_on(sequence), folder / "test.toml")
@@ -173,7 +173,7 @@ def designed_on(sequence: Sequence) -> Scenario:
     """
     model = sequence.posterior.nominal
     motion = sequence.scenario.motion
-    assert not isinstance(motion, MotionSet)  # `plan` refuses it
+    assert not isinstance(motion, MotionSet)  # `plan_sequence` refuses it
     return replace(model, motion=replace(motion, amplitude=sequence.next.amplitude * motion.amplitude))
 
 
@@ -184,7 +184,7 @@ def close_shake(
     without: Items[str] = (),
     band: tuple[float, float] | None = None,
     discrepancy: bool = True,
-    on_progress: Progress = silent,
+    on_progress: Progress = no_progress,
 ) -> tuple[Sequence, Identified]:
     """Hold the next shake's forecast against its log, update the belief, and write both.
 
@@ -216,7 +216,7 @@ def close_shake(
         estimated = ("actuator", "nonlinearity", "delay", "specimen")
         require_same_test(log.scenario, model, log.name, but=estimated)
     require_motion(log, model)
-    measured = figures(log)
+    measured = measured_figures(log)
     intervals = shake.forecast["intervals"]
     inside = {
         name: bool(intervals[name][0] <= value <= intervals[name][2])
@@ -257,7 +257,7 @@ def with_damage(posterior: Posterior, logs: Items[TestLog]) -> Posterior:
 
     Samples that the model cannot be are left out.
     """
-    tables = plants(posterior.scenario, posterior.names, posterior.points)
+    tables = plants_at(posterior.scenario, posterior.names, posterior.points)
     possible = np.array([table is not None for table in tables])
     states = damage_after([table for table in tables if table is not None], logs)
     return replace(posterior, points=posterior.points[possible], states=tuple(states))
@@ -278,7 +278,7 @@ def damage_intervals(posterior: Posterior, probability: float) -> dict[str, list
     return {name: np.quantile(values, ends).tolist() for name, values in columns.items()}
 
 
-def figures(log: TestLog) -> dict[str, float]:
+def measured_figures(log: TestLog) -> dict[str, float]:
     """Return rms and peak of each measured channel, SI, as forecasts call them."""
     values_of = {}
     for name in log.measured:
@@ -294,6 +294,6 @@ def _possible(scenario: Scenario, prior: Prior, number: int, seed: int) -> Float
     points = np.zeros((0, len(prior.names)))
     while len(points) < number:
         draws = prior.draw(number, stream)
-        possible = [table is not None for table in plants(scenario, prior.names, draws)]
+        possible = [table is not None for table in plants_at(scenario, prior.names, draws)]
         points = np.concatenate([points, draws[possible]])
     return points[:number]

@@ -1,4 +1,4 @@
-"""The nonlinear parts on a bench of their own: what laws and kernel do under a simple drive.
+"""The nonlinear parts in separate simulated tests: laws and kernel under simple inputs.
 
 A storey is cycled through drift, the table is driven by a sinusoidal current, the valve is read off
 over load pressure. Laws come from `shake_env.model.nonlinearity`, steps from

@@ -12,7 +12,7 @@ import numpy as np
 from shake_env.errors import RecordError
 from shake_env.model.parameters import FloatArray
 from shake_env.records.record import Record
-from shake_env.records.text.source import SourceText, number
+from shake_env.records.text.source import SourceText, parse_number
 from shake_env.records.units import Unit, check_peak
 
 LARGEST_TABLE = 4_000_000  # numbers of a binary file
@@ -25,7 +25,7 @@ _LENGTH = 0.006  # s: what a length of two decimals may be off, beside half a st
 Keyed = dict[str, tuple[int, str]]
 
 
-def lower(source: SourceText, index: int) -> str:
+def lower_line(source: SourceText, index: int) -> str:
     """Return the beginning of a header's line in lower case, blanks at its ends taken off."""
     return source.line(index)[:LONGEST_LINE].strip().lower()
 
@@ -58,7 +58,7 @@ def keyed_lines(source: SourceText, first: int, last: int, marker: str = "") -> 
     return header
 
 
-def needed(source: SourceText, header: Keyed, key: str, last: int) -> tuple[int, str]:
+def require_line(source: SourceText, header: Keyed, key: str, last: int) -> tuple[int, str]:
     """Return line and text of a key that a record's header must hold.
 
     Raises
@@ -92,7 +92,7 @@ def value_in(source: SourceText, index: int, text: str, what: str) -> float:
     RecordError
         If it is none; the message says that it must be `what`.
     """
-    value = number(text)
+    value = parse_number(text)
     if value is None or value <= 0.0:
         raise source.error(index, f"expected {what}, a number above 0")
     return value

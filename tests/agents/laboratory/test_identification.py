@@ -11,16 +11,16 @@ from agents.laboratory.identification.consistency import require_motion
 from agents.laboratory.identification.fit import fit
 from agents.laboratory.identification.frequency_response import frequency_response
 from agents.laboratory.identification.identify import identify, model_of, read_prior
-from agents.laboratory.identification.likelihood import Likelihood, LogData, fourier
+from agents.laboratory.identification.likelihood import Likelihood, LogData, fourier_coefficients
 from agents.laboratory.identification.parameters import (
     default_prior,
     nominal_values,
-    plants,
+    plants_at,
     to_scale,
 )
 from agents.laboratory.identification.posterior import Posterior, read_posterior
-from agents.laboratory.identification.prediction import predicted
-from agents.laboratory.identification.sampler import sample
+from agents.laboratory.identification.prediction import predict_response
+from agents.laboratory.identification.sampler import sample_posterior
 from shake_env.errors import FileError, LogError, ParameterError
 from shake_env.motion.targets import RecordedMotion
 from shake_env.rollout import Earthquake, rollout
@@ -51,7 +51,7 @@ def floors():
 def test_a_prediction_is_the_simulation_but_for_the_noise():
     log = laboratory_log()
     scenario = log.scenario
-    readings = predicted([scenario], log.channels["current"], log.measured).readings[0]
+    readings = predict_response([scenario], log.channels["current"], log.measured).readings[0]
     for c, name in enumerate(log.measured):
         error = log.channels[name] - readings[:, c]
         place = scenario.observation.reading_names.index(name)
@@ -67,13 +67,13 @@ def test_each_lane_of_a_batch_is_the_table_alone(name):
     prior = default_prior(scenario)
     names = (*prior.names, "supply_pressure") if name == "laboratory" else prior.names
     prior = default_prior(scenario, names)
-    tables = plants(scenario, names, prior.draw(3, np.random.default_rng(1)))
+    tables = plants_at(scenario, names, prior.draw(3, np.random.default_rng(1)))
     current = 0.02 * np.sin(0.05 * np.arange(200.0) ** 1.3)
     channels = ("table_acceleration", "base_shear", "load_pressure", "table_displacement")
     channels += ("floor_acceleration_1", "floor_acceleration_2")
-    together = predicted(tables, current, channels).readings
+    together = predict_response(tables, current, channels).readings
     for lane, table in enumerate(tables):
-        alone = predicted([table], current, channels).readings[0]
+        alone = predict_response([table], current, channels).readings[0]
         scale = np.abs(alone).max(axis=0)
         assert np.max(np.abs(together[lane] - alone) / scale) < 1e-9
 
@@ -82,7 +82,7 @@ def test_fourier_coefficients_are_orthonormal():
     rng = np.random.default_rng(0)
     for samples in (64, 65):
         signal = rng.standard_normal((samples, 2)) + 5.0
-        coefficients = fourier(signal)
+        coefficients = fourier_coefficients(signal)
         assert coefficients.shape == (samples - 1, 2)
         power = np.sum((signal - signal.mean(axis=0)) ** 2, axis=0)
         np.testing.assert_allclose(np.sum(coefficients**2, axis=0), power, rtol=1e-12)
@@ -211,8 +211,8 @@ def test_samples_of_a_normal_posterior_are_normal():
     prior = default_prior(log.scenario, ["coulomb_friction", "bulk_modulus", "specimen_mass"])
     data = [LogData.from_log(log, log.scenario)]
     result = fit(Likelihood.from_data(log.scenario, prior.names, data), prior)
-    posterior = sample(result, moves=60, seed=1)
-    again = sample(result, moves=60, seed=1)
+    posterior = sample_posterior(result, moves=60, seed=1)
+    again = sample_posterior(result, moves=60, seed=1)
     assert np.array_equal(posterior.points, again.points)
     z = (posterior.points - result.mode) / result.deviations
     assert np.max(np.abs(z.mean(axis=0))) < 0.25
