@@ -17,6 +17,7 @@ from shake_env.records.text.header import (
     LONGEST_LINE,
     behind_blank_lines,
     check_length,
+    check_peak,
     check_peak_about_any_mean,
     count_in,
     lower_line,
@@ -24,7 +25,7 @@ from shake_env.records.text.header import (
     words_after,
 )
 from shake_env.records.text.source import SourceText, parse_number
-from shake_env.records.units import Unit, check_peak, settle_interval, settle_unit
+from shake_env.records.units import Unit, settle_interval, settle_unit
 
 _TEXTS_AT_MOST = 40
 _INTEGERS, _INTEGER_COLUMNS, _INTEGER_WIDTH = 100, 16, 5

@@ -20,6 +20,7 @@ from shake_env.records.text.header import (
     LONGEST_LINE,
     behind_blank_lines,
     check_length,
+    check_peak,
     check_peak_about_any_mean,
     fortran_form,
     lower_line,
@@ -28,7 +29,7 @@ from shake_env.records.text.header import (
     words_after,
 )
 from shake_env.records.text.source import SourceText, parse_number
-from shake_env.records.units import Unit, check_peak, settle_interval, settle_unit
+from shake_env.records.units import Unit, settle_interval, settle_unit
 
 _TEXTS_AT_MOST = 40
 _TITLE = re.compile(r"\(format v ?\d\d?\.\d\d? with (\d{1,3}) text lines\)", re.ASCII)

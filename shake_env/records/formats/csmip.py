@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 from shake_env.model.parameters import FloatArray
 from shake_env.records.record import Record
+from shake_env.records.text.header import check_peak
 from shake_env.records.text.source import SourceText, parse_number
-from shake_env.records.units import Unit, check_peak, settle_interval, settle_unit
+from shake_env.records.units import Unit, settle_interval, settle_unit
 
 _CHANNEL_HEADER = 80  # lines at most
 _COLUMNS = 8

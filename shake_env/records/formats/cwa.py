@@ -10,9 +10,16 @@ import numpy as np
 from shake_env.errors import RecordError
 from shake_env.model.parameters import FloatArray
 from shake_env.records.record import Record
-from shake_env.records.text.header import Keyed, fortran_form, keyed_lines, require_line, value_in
+from shake_env.records.text.header import (
+    Keyed,
+    check_peak,
+    fortran_form,
+    keyed_lines,
+    require_line,
+    value_in,
+)
 from shake_env.records.text.source import SourceText, parse_number
-from shake_env.records.units import Unit, check_peak, settle_interval, settle_unit
+from shake_env.records.units import Unit, settle_interval, settle_unit
 
 _HEADER_LINES = 60  # at most
 _COLUMNS = 4

@@ -10,6 +10,7 @@ from shake_env.records.record import Record
 from shake_env.records.text.header import (
     LONGEST_LINE,
     check_length,
+    check_peak,
     count_in,
     keyed_lines,
     require_line,
@@ -17,7 +18,7 @@ from shake_env.records.text.header import (
     value_in,
 )
 from shake_env.records.text.source import SourceText, parse_number
-from shake_env.records.units import Unit, check_peak, settle_interval, settle_unit
+from shake_env.records.units import Unit, settle_interval, settle_unit
 
 _HEADER_LINES = 120  # at most
 

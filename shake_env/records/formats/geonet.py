@@ -12,6 +12,7 @@ from shake_env.records.record import Record
 from shake_env.records.text.header import (
     LONGEST_LINE,
     check_length,
+    check_peak,
     check_step,
     count_in,
     lower_line,
@@ -19,7 +20,7 @@ from shake_env.records.text.header import (
     words_after,
 )
 from shake_env.records.text.source import SourceText, parse_number
-from shake_env.records.units import Unit, check_peak, settle_interval, settle_unit
+from shake_env.records.units import Unit, settle_interval, settle_unit
 
 _TEXTS, _INTEGERS, _REALS = 16, 40, 60
 _HEADER = _TEXTS + (_INTEGERS + _REALS) // 10

@@ -11,8 +11,9 @@ import re
 import numpy as np
 
 from shake_env.records.record import Record
+from shake_env.records.text.header import check_peak
 from shake_env.records.text.source import SourceText, parse_number
-from shake_env.records.units import Unit, check_peak, settle_interval, unit_named
+from shake_env.records.units import Unit, settle_interval, unit_named
 
 _HEADER_LINES = 24  # at most
 _KEY = 18  # characters

@@ -12,13 +12,14 @@ from shake_env.model.parameters import FloatArray
 from shake_env.records.record import Record
 from shake_env.records.text.header import (
     LONGEST_LINE,
+    check_peak,
     check_peak_about_any_mean,
     lower_line,
     sensor_entries,
     words_after,
 )
 from shake_env.records.text.source import SourceText, parse_number
-from shake_env.records.units import Unit, check_peak, settle_interval, settle_unit
+from shake_env.records.units import Unit, settle_interval, settle_unit
 
 _TEXTS, _INTEGERS, _REALS = 11, 48, 50
 _FASTEST = 1e5  # Hz; some files hold nonsense above it
