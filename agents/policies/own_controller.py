@@ -84,7 +84,7 @@ def _from_file(name: str, file: Path) -> ModuleType:
     sys.path.insert(0, str(file.resolve().parent))  # what lies beside it can be imported
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever a stranger's code raises is told by its line
+    except Exception as error:  # whatever the user's code raises is reported by its line
         del sys.modules[alias]
         raise _refused(name, "its import", error) from error
     finally:

@@ -150,7 +150,16 @@ def test_committed_results_are_still_tables():
     """Results of before there were controllers and values in them can be read and shown."""
     from pathlib import Path
 
-    from agents.evaluation.benchmark import CONTROLLERS, difference_of_result, read_benchmarks
+    from agents.cli.benchmark import Benchmark
+    from agents.evaluation.benchmark import (
+        CONTROLLERS,
+        SCENARIOS,
+        difference_of_result,
+        read_benchmarks,
+    )
+
+    command = Benchmark()  # whose defaults are literals, so that help loads nothing else
+    assert (command.scenarios, command.controllers) == (SCENARIOS, CONTROLLERS)
 
     results = read_benchmarks(Path(__file__).parents[3] / "docs" / "results")
     assert len(results) == 5
