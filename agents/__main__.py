@@ -104,7 +104,7 @@ def run_words(words: Sequence[str]) -> int:
 
 
 def run(command: CommandOptions, title: str) -> int:
-    """Run a command in sight of a person, and print its result."""
+    """Run a command with progress on the terminal, and print its result."""
     silent = command.json or command.quiet
     # A pipe has no width: the columns of a table, which rich would shrink, are as wide as they are.
     console = OutputConsole(quiet=silent, width=None if sys.stdout.isatty() else 10_000)

@@ -119,7 +119,7 @@ class Display:
             self._last_line = time.monotonic()
 
     def due(self) -> bool:
-        """Return whether a log may be told of progress again."""
+        """Return whether progress may be logged again."""
         return time.monotonic() - self._last_line >= NEXT_LINE or self._last_line == self._began
 
     def _tell(self) -> None:

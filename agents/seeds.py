@@ -9,8 +9,10 @@ RUN_SEEDS = 100_000  # run s trains on seeds from s times that
 MOST_RUNS = 10  # runs have seeds 0 to 9, so that training stays below the next range
 EVALUATION_SEED = 1_000_000  # evaluation during training
 COMPARISON_SEED = 2_000_000  # `shake compare`, `shake design`
-VALIDATION_SEED = (
-    3_000_000  # `shake tune`, choice of training configurations, `shake validate-transients`
-)
+# `shake tune`, choice of training configurations, `shake validate-transients`, `shake gradient-noise`
+VALIDATION_SEED = 3_000_000
 TEST_SEED = 4_000_000  # `shake evaluate`, `shake benchmark`, the experiment's evaluation
 ROBUSTNESS_SEED = 5_000_000  # `shake robustness`
+FORECAST_SEED = 7_000_000  # samples of `shake forecast`
+SHAKE_SEEDS = 10_000  # shake n of `shake sequence` is forecast with seeds from n times that on
+COVERAGE_SEED = 8_000_000  # tests that `shake calibrate --shakes` holds against their forecast

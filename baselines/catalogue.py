@@ -64,7 +64,7 @@ def _estimated(
     """
     if scenario.sensing.full_state and not scenario.delay:
         return make(scenario)
-    error = ModelError.of(scenario)
+    error = ModelError.from_scenario(scenario)
     error = replace(error, force=model_error_scale * error.force, flow=model_error_scale * error.flow)
     return estimated(scenario, make, error, accommodate=accommodate)
 

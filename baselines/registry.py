@@ -164,8 +164,8 @@ def designed_controller(
 def reference_name(scenario: Scenario) -> str:
     """Return the controller that costs are relative to.
 
-    LQR where the state is shown and nothing else asks for more; with a preview or limits the LQR that
-    sees the one and minds the other; with an estimator where signals are shown or the loop has a delay.
+    LQR where the state is shown and nothing else asks for more; with a preview or limits the LQR with
+    preview and displacement weight; with an estimator where signals are shown or the loop has a delay.
     """
     if not scenario.sensing.full_state or scenario.delay:
         return "lqg"

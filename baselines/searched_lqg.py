@@ -123,7 +123,7 @@ def searched_design(scenario: Scenario, **values: float) -> Controller:
 
     if "disturbance_gain" not in values:
         return make(scenario)
-    error = ModelError.of(scenario)
+    error = ModelError.from_scenario(scenario)
     error = replace(
         error,
         force=values["force_error_scale"] * error.force,

@@ -19,7 +19,7 @@ import gymnasium
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from agents.reporting.markdown_blocks import put
+from agents.reporting.markdown_blocks import put_block
 from benchmarks.arithmetic import closed_loops, kernel
 from benchmarks.decision import decisions
 from benchmarks.device import device
@@ -109,7 +109,7 @@ def main() -> None:
         print(f"\n{name}\n", *lines, sep="\n")
     if asked.page:
         for name, lines in made.items():
-            put(asked.page, name, "\n".join(lines))
+            put_block(asked.page, name, "\n".join(lines))
     if asked.figure:
         asked.figure.mkdir(parents=True, exist_ok=True)
         print(draw(results, asked.figure), file=sys.stderr)

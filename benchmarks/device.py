@@ -107,8 +107,8 @@ def _step(name: str, options: dict[str, Any], tables: int, kind: str) -> tuple[A
     simulation.start([0], [np.random.default_rng(0)])
     like = torch.zeros(1, dtype=torch.float32, device=kind)
     model = torch_model(simulation.model, like)
-    ground = _wide(simulation.advance_ground()[0].like(like), tables)
-    memory = _wide(simulation.memory.like(like), tables)
+    ground = _wide(simulation.advance_ground()[0].to(like), tables)
+    memory = _wide(simulation.memory.to(like), tables)
     readings = memory.bias.shape[-1]
     noise = torch.zeros((tables, readings), device=kind)
     action = torch.zeros(tables, device=kind)

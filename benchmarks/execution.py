@@ -70,7 +70,7 @@ def overhead(engine: str) -> dict[str, Any]:
 
 def campaign_tasks(folder: Path) -> list[Any]:
     from agents.experiments.catalogue import ExperimentConfig
-    from agents.experiments.runner import plan
+    from agents.experiments.runner import plan_runs
     from agents.training.algorithm_options import APGOptions, PPOOptions, SACOptions
     from agents.training.config import TrainConfig
 
@@ -94,7 +94,7 @@ def campaign_tasks(folder: Path) -> list[Any]:
         ExperimentConfig(evaluation_task="linear", label=label, config=config, minutes=0.1, seeds=3)
         for label, config in configs.items()
     ]
-    return plan(experiments, folder)
+    return plan_runs(experiments, folder)
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -147,7 +147,7 @@ def efficiency(engine: str) -> dict[str, Any]:
     on the other core while a run ends.
     """
     from agents.experiments.catalogue import EXPERIMENTS
-    from agents.experiments.runner import Campaign, plan
+    from agents.experiments.runner import Campaign, plan_runs
 
     (real,) = (each for each in EXPERIMENTS if each.name == "laboratory/ppo")
     batch = real.config.ppo.n_steps * real.config.ppo.n_envs
@@ -156,7 +156,7 @@ def efficiency(engine: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         for workers in (1, 2):
             folder = Path(name) / f"campaign-{workers}"
-            tasks = plan([replace(real, config=short, seeds=8)], folder)
+            tasks = plan_runs([replace(real, config=short, seeds=8)], folder)
             began, before = time.perf_counter(), children_seconds()
             with options(engine, Path(name), workers).open_executor() as executor:
                 Campaign(tasks).run(executor)

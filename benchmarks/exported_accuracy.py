@@ -49,9 +49,9 @@ def main() -> None:
             get_controller(name, scenario)
         except ShakeError:  # no controller of this name drives this table
             continue
-        found = agreement(name, scenario, supervised=supervised)
-        rows.append(asdict(found) | {"good": found.good})
-        print(found, "good" if found.good else "NOT GOOD", flush=True)
+        result = agreement(name, scenario, supervised=supervised)
+        rows.append(asdict(result) | {"good": result.good})
+        print(result, "good" if result.good else "NOT GOOD", flush=True)
         write_text(file, json.dumps({"rows": rows}, indent=1) + "\n")
 
 

@@ -52,7 +52,7 @@ print(f"{record.name}: {record.duration:.1f} s, peak {peak / GRAVITY:.3f} g")
 
 scenario = make_scenario("laboratory")
 motion = RecordedMotion(record=record, highpass_frequency=0.2, lowpass_frequency=25.0)
-fit = fit_amplitude(motion, TableCapacity.of(scenario.actuator, scenario.specimen))
+fit = fit_amplitude(motion, TableCapacity.from_actuator(scenario.actuator, scenario.specimen))
 print(f"amplitude x {fit.factor:.3f}, governed by {fit.governed_by}")
 for name in ("lqg-dac", "tvc"):
     rows, _ = rollout(make_baseline(name, scenario), scenario, [Earthquake(record.name, fit.motion)])

@@ -28,13 +28,12 @@ FloatBox = spaces.Space[NDArray[np.float32]]
 
 
 class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
-    """A shake table that has to make its specimen feel a recorded earthquake.
+    """A shake table whose specimen must respond as it would in the earthquake.
 
     A servo-hydraulic actuator moves a table with a multi-storey specimen on it. The agent sets the
-    current of the servovalve. What it is judged by is how well the table repeats a target acceleration
-    and, above all, how well the force in the specimen (its base shear) repeats that of the same
-    specimen on real ground. Plant and objective: Gavin and Hoagg, "Control Objectives for Seismic
-    Simulators", ACC 2009, with the corrections that ``docs/reproduction.md`` shows.
+    current of the servovalve. The objective is to track a target acceleration and, above all, the base
+    shear of the same specimen on real ground. Plant and objective: Gavin and Hoagg, "Control Objectives
+    for Seismic Simulators", ACC 2009, with the corrections that ``docs/reproduction.md`` shows.
 
     ## Action
 

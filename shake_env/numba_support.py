@@ -36,8 +36,8 @@ def _load(name: str) -> Any:
         return None
     except (ImportError, RuntimeError) as problem:  # another numpy than it bears, no folder for its work
         warnings.warn(
-            f"tables step uncompiled, several times slower: {problem}. Mend that (NUMBA_CACHE_DIR names "
-            "a folder that can be written), or set SHAKE_ENV_COMPILED=0",
+            f"tables step uncompiled, several times slower: {problem}. Correct that (NUMBA_CACHE_DIR "
+            "names a writable folder), or set SHAKE_ENV_COMPILED=0",
             RuntimeWarning,
             stacklevel=3,
         )

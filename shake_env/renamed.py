@@ -123,15 +123,24 @@ PYTHON = {
         "controllers_of": "controllers_with_sources",
         "difference": "difference_of_result",
     },
-    "agents.experiments": {"keep": "keep_tuned_values"},
+    "agents.experiments": {"keep": "keep_tuned_values", "plan": "plan_runs"},
     "agents.policies": {
         "digest": "file_digest",
         "file_of": "policy_path",
         "named_controller": "get_controller",
         "require_controller": "find_controller",
     },
-    "agents.reporting": {"Gathered": "HistoryCollector", "section": "robustness_section"},
-    "agents.training": {"AnalyticOptions": "APGOptions", "go_on": "train_or_resume"},
+    "agents.reporting": {
+        "Gathered": "HistoryCollector",
+        "film": "write_video",
+        "put": "put_block",
+        "section": "robustness_section",
+    },
+    "agents.training": {
+        "AnalyticOptions": "APGOptions",
+        "finished": "is_finished",
+        "go_on": "train_or_resume",
+    },
     "baselines.analysis": {"ClosedLoop": "ContinuousClosedLoop", "respond": "forced_response"},
 }
 

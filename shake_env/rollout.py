@@ -20,7 +20,7 @@ from shake_env.scenario.presets import laboratory_noise
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty
 from shake_env.simulation.engine import BoolArray, Observations, StepResult
-from shake_env.simulation.metrics import EpisodeMetrics, Sums
+from shake_env.simulation.metrics import EpisodeMetrics, MetricAccumulator
 from shake_env.simulation.simulation import Simulation, checked_action, earthquake_stream
 from shake_env.simulation.trajectory import Recorder, Trajectory
 
@@ -70,7 +70,7 @@ def recorded_earthquakes(scenario: Scenario) -> list[Earthquake]:
 
     A scenario of several recorded motions, or of a record from a file, gives those. Where the scenario
     limits the stroke, an embedded record is scaled until the table can repeat it
-    (`preparation.fit_amplitude`); `Earthquake.motion` says by what.
+    (`shake_env.motion.processing.fit_amplitude`); `Earthquake.motion` says by what.
     """
     motion = scenario.motion
     if isinstance(motion, MotionSet):
@@ -132,16 +132,18 @@ def rollout(
     metrics, trajectories
         One entry an earthquake, in order; trajectories by index.
     """
-    simulation, observation = begin(scenario, earthquakes)
-    sums, recorder = Sums(simulation.lanes), Recorder(record)
+    simulation, observation = begin_rollout(scenario, earthquakes)
+    sums, recorder = MetricAccumulator(simulation.lanes), Recorder(record)
     logs = (sums, recorder) if log is None else (sums, recorder, log)
-    reasons = run(controller, simulation, observation, logs, on_step)
+    reasons = run_rollout(controller, simulation, observation, logs, on_step)
     names = [quake.name for quake in earthquakes]
     metrics = sums.metrics(names, simulation.episode_steps, reasons)
     return metrics, recorder.trajectories(scenario.physics_step, scenario.control_period)
 
 
-def begin(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[Simulation, Observations]:
+def begin_rollout(
+    scenario: Scenario, earthquakes: Sequence[Earthquake]
+) -> tuple[Simulation, Observations]:
     """Return the tables of a roll-out at the start of their earthquakes, and their observations.
 
     Raises
@@ -161,21 +163,21 @@ def begin(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[Simula
     return simulation, observation
 
 
-def run(
+def run_rollout(
     controller: Controller,
     simulation: Simulation,
     observation: Observations,
     logs: Sequence[PeriodLog],
     on_step: Callable[[float], None] = lambda share: None,
 ) -> list[str | None]:
-    """Run a controller on a roll-out's tables that `begin` started; return what ended each lane.
+    """Run a controller on a roll-out's tables that `begin_rollout` started; return what ended each lane.
 
     Parameters
     ----------
     controller, on_step
         See `rollout`.
     simulation, observation
-        Of `begin`.
+        Of `begin_rollout`.
     logs
         Each told every control period.
     """

@@ -1,14 +1,14 @@
 """Who may import whom: downwards between rooms, no circle, nothing that a room may not need."""
 
 import ast
-import re
+import itertools
 import sys
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
-from pathlib import Path
 
 import pytest
+from module_sources import ROOT, sources
 
-ROOT = Path(__file__).parents[1]
 # Rooms from top to bottom: folders, and single files at the top of a package. A module imports from its
 # own room and from rooms below it. Rooms on one line do not import one another.
 ROOMS = """
@@ -55,6 +55,7 @@ ROOMS = """
     shake_env/files
     shake_env/errors shake_env/renamed
 """
+IMPORTERS = ("import_module", "compiled_module", "__import__", "find_spec")
 LEARNING = {"torch", "stable_baselines3", "sb3_contrib", "tensorboard"}
 SHOWING = {"matplotlib", "rich", "tyro", "plotly", "jinja2"}
 # What a package or room may import besides the standard library and this project. A room's own line
@@ -91,14 +92,7 @@ def room(module):
     return "/".join(parts[:2]) if len(parts) > 1 else f"{parts[0]}/__init__"
 
 
-def sources():
-    """Dotted name and path of every module of the three packages."""
-    for package in ("shake_env", "baselines", "agents"):
-        for path in sorted((ROOT / package).rglob("*.py")):
-            parts = path.relative_to(ROOT).with_suffix("").parts
-            yield ".".join(parts[:-1] if parts[-1] == "__init__" else parts), path
-
-
+@cache
 def imports(text, names=frozenset()):
     """Modules that a source imports anywhere, in functions and by name too.
 
@@ -115,9 +109,32 @@ def imports(text, names=frozenset()):
                 modules.add(whole if whole in names else node.module)
         elif isinstance(node, ast.Call):
             called = getattr(node.func, "attr", getattr(node.func, "id", ""))
-            if called in ("import_module", "compiled_module", "__import__", "find_spec"):
+            if called in IMPORTERS:
                 modules |= {a.value for a in node.args[:1] if isinstance(a, ast.Constant)}
     return modules
+
+
+# Modules that import by a name that is no literal, which `imports` cannot see, and what they import.
+BY_VARIABLE = {
+    "agents.cli.commands": "modules of its own table, all in agents.cli",
+    "agents.laboratory.logs.hdf5_file": "a library",
+    "agents.policies.own_controller": "a module of the user's",
+    "baselines.planning.model": "compiled modules of its own room",
+    "shake_env.command_line": "nothing: whether a library can be found",
+    "shake_env.lazy": "modules of the package that calls it",
+    "shake_env.numba_support": "what a caller names in `compiled_module`",
+}
+
+
+def imports_by_variable(text):
+    """Lines of a source that import a module by a name that is no literal."""
+    return [
+        node.lineno
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Call)
+        and getattr(node.func, "attr", getattr(node.func, "id", "")) in IMPORTERS
+        and not (node.args and isinstance(node.args[0], ast.Constant))
+    ]
 
 
 def upward(module, text, names, ranks):
@@ -150,16 +167,56 @@ def test_imports_lead_downwards(module, path):
     assert upward(module, path.read_text(encoding="utf-8"), NAMES, ranks) == []
 
 
+def test_imports_by_a_variable_are_known():
+    texts = {name: path.read_text(encoding="utf-8") for name, path in sources()}
+    assert {name for name, text in texts.items() if imports_by_variable(text)} == set(BY_VARIABLE)
+    assert imports_by_variable("def f(x):\n    import_module(x)\n    import_module(f'agents.{x}')") == [
+        2,
+        3,
+    ]
+
+
+def circle(edges):
+    """The first circle of a graph given as pairs, as a text; empty: there is none."""
+    graph = {}
+    for start, end in edges:
+        graph.setdefault(start, set()).add(end)
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return " -> ".join(error.args[1])
+    return ""
+
+
+def folder_edges(pairs):
+    """Imports between folders of which none holds the other, given imports between modules."""
+    folders = {(a.rpartition(".")[0], b.rpartition(".")[0]) for a, b in pairs}
+    return {
+        (a, b) for a, b in folders if not f"{a}.".startswith(f"{b}.") and not f"{b}.".startswith(f"{a}.")
+    }
+
+
+def test_no_circle_of_folders():
+    """Also between the folders of one room, which the table of rooms does not order."""
+    pairs = {
+        (name, each)
+        for name, path in sources()
+        if path.name != "__init__.py"
+        for each in imports(path.read_text(encoding="utf-8"), NAMES) & NAMES
+        if name.count(".") > 1 and each.count(".") > 1  # single files of a package have lines in ROOMS
+    }
+    assert circle(folder_edges(pairs)) == ""
+    logs, fit = "agents.laboratory.logs.raw", "agents.laboratory.identification.fit"
+    assert "laboratory.logs" in circle(folder_edges(pairs | {(logs, fit)}))
+
+
 def test_no_circle_of_modules():
     graph = {
         name: (imports(path.read_text(encoding="utf-8"), NAMES) & NAMES) - {name}
         for name, path in sources()
         if path.name != "__init__.py"  # holds names of its modules, which never ask for it
     }
-    try:
-        TopologicalSorter(graph).prepare()
-    except CycleError as error:
-        pytest.fail(" -> ".join(error.args[1]))
+    assert circle((name, each) for name, others in graph.items() for each in others) == ""
 
 
 def test_modules_of_a_package_import_from_modules_and_not_from_its_front():
@@ -178,6 +235,28 @@ def test_libraries_are_those_of_the_room(module, path):
         assert "control" not in outside, "control design belongs in baselines"
     else:
         assert outside <= allowed
+
+
+def arrows(picture):
+    """Pairs of names that arrows of a mermaid flowchart join, ``a & b --> c --> d`` taken apart."""
+    for line in picture.splitlines():
+        groups = [[name.strip() for name in part.split("&")] for part in line.split("-->")]
+        for above, below in itertools.pairwise(groups):
+            yield from itertools.product(above, below)
+
+
+def test_the_picture_of_the_rooms_is_that_of_the_table():
+    """Every arrow leads downwards in ROOMS, and every folder is in the picture."""
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    ranks, pairs = rank(), list(arrows(text.split("```mermaid")[1].split("```")[0]))
+    rooms = {
+        name: {room for room in ranks if room.endswith(f"/{name}")} for pair in pairs for name in pair
+    }
+    for above, below in pairs:
+        assert rooms[above] and rooms[below], (above, below)
+        assert min(ranks[a] for a in rooms[above]) > min(ranks[b] for b in rooms[below]), (above, below)
+    folders = {room for room in ranks if (ROOT / room).is_dir()}
+    assert folders <= set().union(*rooms.values())
 
 
 @pytest.mark.parametrize("entry", ["agents.policies", "shake_env", "baselines"])
@@ -214,86 +293,24 @@ def test_studies_stand_apart_from_all_but_their_commands():
     assert users_of_studies(wrong) == set(wrong)
 
 
-# Where a file is opened to be written without `files`, and why that is right.
-OTHER_WRITERS = {
-    "agents.run_directory": 1,  # a line appended to a file of lines, half a line dropped
-    "agents.execution.worker": 1,  # what a call prints goes there while it runs
-    "agents.cli.output_path": 1,  # opened to find out whether it can be written; nothing is
-}
-
-
-def writes(text):
-    """Calls of a source that write a file: by a method, or by ``open`` with a mode that does."""
-    lines = []
-    for node in ast.walk(ast.parse(text)):
-        if not isinstance(node, ast.Call):
-            continue
-        name = getattr(node.func, "attr", getattr(node.func, "id", ""))
-        owner = getattr(getattr(node.func, "value", None), "id", None)
-        texts = [a.value for a in node.args if isinstance(a, ast.Constant) and isinstance(a.value, str)]
-        if name == "open" and owner != "os":
-            modes = [each for each in texts if re.fullmatch(r"[rwaxbt+]{1,4}", each)]
-            modes += [k.value.value for k in node.keywords if k.arg == "mode"]
-            wrong = any(set(mode) & set("wax+") for mode in modes)
-        elif name in ("write_text", "write_bytes"):
-            wrong = isinstance(node.func, ast.Attribute)  # a path's method
-        else:
-            wrong = name in (
-                "savefig",
-                "savez",
-                "savez_compressed",
-                "savetxt",
-                "save_file",
-                "to_csv",
-                "tofile",
-            )
-            wrong |= name == "save" and owner in ("np", "torch")
-            wrong |= name == "dump" and owner in ("json", "pickle")
-        if wrong:
-            lines.append((node.lineno, name))
-    return lines
-
-
-def test_files_are_written_in_one_place():
-    """An interruption leaves the old file or the new one, and an error names it: see `files`."""
-    number = {}
-    for name, path in sources():
-        lines = writes(path.read_text(encoding="utf-8"))
-        if name == "shake_env.files" or not lines:
-            continue
-        number[name] = len(lines)
-        if name not in OTHER_WRITERS:
-            text = path.read_text(encoding="utf-8")
-            in_memory = text.count("savefig(image,") + len(
-                re.findall(r"savez(?:_compressed)?\(held,", text)
-            )
-            assert len(lines) == in_memory, f"{name}: {lines}"
-    assert OTHER_WRITERS.items() <= number.items()
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "path.write_text(x)",
-        "open(path, 'w')",
-        "path.open('ab+')",
-        "path.open(mode='x')",
-        "figure.savefig(path)",
-        "np.save(path, x)",
-        "np.savez_compressed(path, x=x)",
-        "json.dump(x, file)",
-    ],
-)
-def test_the_rule_sees_another_writer(text):
-    assert writes(text)
-    assert not writes("write_text(path, x), path.open('rb'), json.dumps(x), tarfile.open(name)")
-
-
 def test_a_folder_has_at_most_twenty_files():
     for package in ("shake_env", "baselines", "agents", "tests"):
         for folder in [ROOT / package, *(p for p in (ROOT / package).rglob("*") if p.is_dir())]:
             files = [p for p in folder.glob("*.py") if p.name != "__init__.py"]
             assert len(files) <= 20, folder.relative_to(ROOT)
+
+
+def test_the_folders_of_tests_are_those_of_the_packages():
+    """The tests of a folder are in its namesake, or in that of the folder above it."""
+    for package in ("shake_env", "baselines", "agents"):
+        folders = {p.relative_to(ROOT) for p in (ROOT / package).rglob("*") if any(p.glob("*.py"))}
+        tested = {
+            p.relative_to(ROOT / "tests")
+            for p in (ROOT / "tests" / package).rglob("*")
+            if any(p.glob("*.py"))
+        }
+        assert tested <= folders
+        assert all({folder, folder.parent} & tested for folder in folders)
 
 
 @pytest.mark.parametrize(

@@ -97,6 +97,12 @@ def test_the_rule_about_hosts_tells_loading_from_links(tag, loads):
 
 
 @pytest.mark.parametrize("package", PACKAGES)
+def test_every_room_is_a_topic_of_the_api_pages(generator, package):
+    rooms = {p.name for p in (ROOT / package).iterdir() if any(p.glob("*.py"))}
+    assert set(generator["api"].__globals__["TOPICS"][package]) == rooms
+
+
+@pytest.mark.parametrize("package", PACKAGES)
 def test_the_api_pages_hold_every_public_name(site, package):
     html = (site / "api" / package / "index.html").read_text(encoding="utf-8")
     anchors = set(re.findall(r'id="([\w.]+)"', html))
@@ -150,6 +156,34 @@ def test_every_public_name_has_a_docstring(package):
                     bare.append(f"{path.name}: {node.name}")
     assert counted > 100
     assert not bare
+
+
+def identifiers(tree):
+    """Every identifier of a source, and the words of its strings that are no sentences."""
+    for node in ast.walk(tree):
+        for field in ("id", "attr", "name", "arg", "module"):
+            yield from str(getattr(node, field, None) or "").split(".")
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " not in node.value:
+            yield from re.split(r"[^\w]", node.value)
+
+
+def stale(text, known):
+    """Names in single backticks of which a part is nowhere an identifier."""
+    names = re.findall(r"(?<!`)`~?([A-Za-z_][\w.]*)`(?!`)", text)
+    return [name for name in names if not set(filter(None, name.split("."))) <= known]
+
+
+def test_names_in_docstrings_and_comments_exist():
+    texts = {p: p.read_text(encoding="utf-8") for name in PACKAGES for p in (ROOT / name).rglob("*.py")}
+    known = {part for path in texts for part in path.relative_to(ROOT).with_suffix("").parts}
+    known |= {each for text in texts.values() for each in identifiers(ast.parse(text))}
+    known |= {"run_grpc_proxy_server", "loadmat", "trim_mean", "doStep"}  # of Optuna, SciPy and FMI
+    known |= {w for p in (ROOT / "agents").rglob("*.c") for w in re.findall(r"\w+", p.read_text())}
+    wrong = {path.name: names for path, text in texts.items() if (names := stale(text, known))}
+    assert wrong == {}
+    assert stale("see `identifiers`, ``code``, `no_such_name.put`", known | {"identifiers"}) == [
+        "no_such_name.put"
+    ]
 
 
 # Generated pages

@@ -4,11 +4,16 @@ import re
 import shutil
 from pathlib import Path
 
+import gymnasium
 import pytest
+
+from agents.policies.registry import controllers
+from shake_env.scenario.presets import NAMED
 
 ROOT = Path(__file__).parents[1]
 RECORD = ROOT / "tests" / "data" / "CICLC_trimmed.v1"
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+README = ROOT / "README.md"
+PAGES = [README, *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 # Before a block that takes long: kept out of the default suite, and run by -m slow.
@@ -23,7 +28,7 @@ def blocks(page, slow=False):
 
 
 def test_the_readmes_python_runs(capsys):
-    control, training = blocks(ROOT / "README.md")
+    control, training = blocks(README)
     exec(compile(control, "README.md", "exec"), {})
     cost = float(re.search(r"mean stage cost ([\d.]+)", capsys.readouterr().out)[1])
     assert 0.1 < cost < 0.3
@@ -68,3 +73,20 @@ def test_every_linked_file_exists(page):
     for link in links:
         assert (page.parent / link).exists(), link
     assert page.name != "README.md" or len(links) >= 5
+
+
+def test_the_readmes_table_of_environments_is_true():
+    rows = re.findall(
+        r"^\| `(ShakeTable-[\w-]+)` \| ([^|]*) \|", README.read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert {name for name, _ in rows} == {f"ShakeTable-{each}-v0" for each in (*NAMED, "sequence")}
+    for name, observation in rows:
+        size = int(re.findall(r"\d+", observation)[-1])
+        env = gymnasium.make(f"shake_env:{name}")
+        assert env.observation_space.shape == (size,), name
+        env.close()
+
+
+def test_the_readme_names_every_controller():
+    text = README.read_text(encoding="utf-8")
+    assert [name for name in controllers() if f"`{name}`" not in text] == []

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from agents.acceptance.clauses import test_spectrum
+from agents.acceptance.clauses import measured_spectrum
 from agents.acceptance.required import FloatArray, RequiredSpectrum
 from agents.acceptance.rules import AcceptanceRules
 from shake_env.errors import ParameterError
@@ -30,7 +30,6 @@ def compatible_motion(
     seed: int = 0,
     hold: float = 24.0,
     step: float = 0.002,
-    raised: bool = True,
 ) -> Record:
     """Return a motion whose test response spectrum is at or just above the required one.
 
@@ -44,8 +43,6 @@ def compatible_motion(
         [s] of constant intensity, between a rise and a decay of 5 s each.
     step
         [s]
-    raised
-        Whether the motion is raised until every ordinate reaches the spectrum; False: the closest.
 
     Raises
     ------
@@ -76,7 +73,7 @@ def compatible_motion(
     best, least = motion(), math.inf
     for _ in range(ITERATIONS):
         trial = motion()
-        ratio = wanted / test_spectrum(trial, step, frequency, required.damping)
+        ratio = wanted / measured_spectrum(trial, step, frequency, required.damping)
         spread = float(np.max(ratio) / np.min(ratio))
         if spread < least:
             best, least = trial * math.sqrt(np.max(ratio) * np.min(ratio)), spread
@@ -84,7 +81,6 @@ def compatible_motion(
             np.interp(np.log(np.maximum(fourier, 1e-9)), np.log(frequency), np.log(ratio))
         )
         amplitude = amplitude * correction
-    if raised:
-        best = best * np.max(wanted / test_spectrum(best, step, frequency, required.damping))
+    best = best * np.max(wanted / measured_spectrum(best, step, frequency, required.damping))
     made = f"Gasparini and Vanmarcke (1976), {required.name}, seed {seed}"
     return Record(f"compatible {seed}", best, step, (("made", made),))

@@ -20,10 +20,10 @@ from shake_env.scenario.presets import NAMED
 
 @dataclass(frozen=True, kw_only=True)
 class Benchmark(CommandOptions):
-    """Run every classical controller on every named scenario. Scenarios that are done are kept.
+    """Run every classical controller on every named scenario. Existing results are kept.
 
-    A scenario is done where the folder of results holds a result of the same number of earthquakes and
-    the same controllers. The results that docs/controllers.md shows lie in docs/results.
+    A result is kept if it is of the same controllers and the same number of earthquakes. The results
+    that docs/controllers.md shows are in docs/results.
 
     Try:
       shake benchmark --scenarios laboratory --earthquakes 20
@@ -45,11 +45,11 @@ class Benchmark(CommandOptions):
     page: Path | None = None
     """Markdown page whose tables are renewed from all results."""
     rerun: bool = False
-    """Whether scenarios that are done are run again, and results of other settings replaced."""
+    """Whether existing results are replaced, those of other settings included."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Run what is not done, and say where it lies."""
-        from agents.evaluation.benchmark import read_results, result_file, scenario_label
+        from agents.evaluation.benchmark import read_benchmarks, result_file, scenario_label
         from agents.evaluation.controller_set import require_names
         from agents.reporting.benchmark_tables import benchmark_markdown, put_tables
 
@@ -80,7 +80,7 @@ class Benchmark(CommandOptions):
             print_markdown(console, benchmark_markdown(result))
             print_notes(result, console)
         if self.page is not None:
-            put_tables(self.page, read_results(self.results))
+            put_tables(self.page, read_benchmarks(self.results))
             console.print(f"wrote {self.page}")
         return results
 
@@ -96,13 +96,13 @@ class Benchmark(CommandOptions):
         ParameterError
             If it holds a result of other settings.
         """
-        from agents.evaluation.benchmark import difference_of_result, read_result, result_file
+        from agents.evaluation.benchmark import difference_of_result, read_benchmark, result_file
 
         make_scenario(name)  # before anything is run
         file = result_file(self.results, name)
         if self.rerun or not file.exists():
             return None
-        known = read_result(file)
+        known = read_benchmark(file)
         other = difference_of_result(known, name, self.earthquakes, self.controllers, self.tuned)
         if other:
             remedy = f"{other}: give --rerun to replace it, or another folder by --results"

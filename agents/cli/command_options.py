@@ -1,4 +1,4 @@
-"""What every command has in common: its options for output, and what comes of an interruption."""
+"""Options that every command has, and its behaviour on an interruption."""
 
 from __future__ import annotations
 

@@ -36,9 +36,9 @@ class Command:
 
 COMMANDS = {
     "compare": Command(
-        "agents.cli.compare", "Compare", "Controllers side by side on the same earthquakes."
+        "agents.cli.compare", "Compare", "Compare controllers on the same earthquakes."
     ),
-    "design": Command("agents.cli.design", "Design", "LQR of a specimen, and what to expect of it."),
+    "design": Command("agents.cli.design", "Design", "LQR of a specimen, and its expected errors."),
     "bound": Command(
         "agents.cli.planning.bound", "Bound", "Least cost of an earthquake over all currents, all known."
     ),
@@ -46,18 +46,18 @@ COMMANDS = {
         "agents.cli.planning.plan", "Plan", "A record's optimal currents, planned before its test."
     ),
     "identify": Command(
-        "agents.cli.laboratory.identify", "Identify", "Table and specimen from logs of their tests."
+        "agents.cli.laboratory.identify", "Identify", "Identify table and specimen from test logs."
     ),
     "forecast": Command(
-        "agents.cli.laboratory.forecast", "ForecastCommand", "What a test will do, before it."
+        "agents.cli.laboratory.forecast", "ForecastCommand", "Predict errors and peaks of a test."
     ),
     "sequence": Command(
-        "agents.cli.laboratory.sequence", "SequenceCommand", "Shakes of rising amplitude, plan to close."
+        "agents.cli.laboratory.sequence", "SequenceCommand", "Tests of rising amplitude on one specimen."
     ),
     "calibrate": Command(
         "agents.cli.laboratory.calibrate", "Calibrate", "Test the identification on its own prior."
     ),
-    "play": Command("agents.cli.play", "Play", "A controller at work, in a window or as a film."),
+    "play": Command("agents.cli.play", "Play", "A simulated test in a window, or as a video."),
     "motion": Command(
         "agents.cli.motion", "Motion", "A recorded motion, and the scale that the table needs."
     ),
@@ -76,7 +76,7 @@ COMMANDS = {
     ),
     "tune": Command("agents.cli.tune", "Tune", "Search a controller's free parameters."),
     "robustness": Command(
-        "agents.cli.robustness", "Robustness", "Controllers on tables unlike those of their design."
+        "agents.cli.robustness", "Robustness", "Robustness of controllers to model mismatch."
     ),
     "export": Command(
         "agents.cli.deployment.export", "Export", "A controller as C, as an FMU or as ONNX."

@@ -32,7 +32,7 @@ CLASSICAL = ("none", "pid", "tvc")
 
 @dataclass(frozen=True, kw_only=True)
 class Compare(FolderOptions):
-    """Run controllers on the same earthquakes and set their errors side by side.
+    """Run controllers on the same earthquakes and compare their errors.
 
     Try:
       shake compare
@@ -106,8 +106,8 @@ class Compare(FolderOptions):
             remedy = "is shown in a report: give --report, or take shake accept for a file"
             raise ParameterError("acceptance.spectrum", self.acceptance.spectrum, remedy)
         gathered = None if self.report is None else HistoryCollector(scenario, self.acceptance)
-        unlike = None if self.robustness is None else read_robustness(self.robustness, scenario.name)
-        if unlike is not None and gathered is None:
+        perturbed = None if self.robustness is None else read_robustness(self.robustness, scenario.name)
+        if perturbed is not None and gathered is None:
             raise ParameterError(
                 "robustness", str(self.robustness), "is shown in a report: give --report"
             )
@@ -149,7 +149,7 @@ class Compare(FolderOptions):
                 console.print(f"wrote {path}")
         if gathered is not None and self.report is not None:
             command = shlex.join(["shake", *sys.argv[1:]])
-            written = write_report(make_report(result, gathered, command, unlike), self.report)
+            written = write_report(make_report(result, gathered, command, perturbed), self.report)
             console.print(f"wrote {written[0]} and {len(written) - 1} figures: open it in a browser")
         return result.to_json(settings)
 

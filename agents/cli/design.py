@@ -17,10 +17,10 @@ from shake_env.scenario.scenario import Scenario
 
 @dataclass(frozen=True, kw_only=True)
 class Design(CommandOptions):
-    """Print the fidelity to expect of a scenario's controller, and the LQR of its table and specimen.
+    """Print the expected errors of a scenario's controller, and the LQR of its table and specimen.
 
-    What theory gives exactly is calculated: the linear table with its full state. Else the scenario's
-    reference (LQG where signals are measured) is simulated, and the full-state LQR is named as a bound.
+    On a linear table with full state the errors are computed analytically. Otherwise the scenario's
+    reference (LQG where signals are measured) is simulated, and the full-state LQR is given as a bound.
 
     Try:
       shake design

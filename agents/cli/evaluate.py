@@ -22,7 +22,7 @@ from agents.scenario_options import ScenarioOptions, given_options
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate(CommandOptions):
-    """Put policies and controllers through the protocol of docs/protocol.md, on test earthquakes.
+    """Evaluate policies and controllers on test earthquakes, by the protocol of docs/protocol.md.
 
     Try:
       shake evaluate runs/mine

@@ -33,7 +33,7 @@ class RunExperiments(CommandOptions):
     """
 
     experiments: tuple[str, ...] = ()
-    """Recipes as SCENARIO/ALGORITHM, or patterns such as linear/*; none: all."""
+    """Experiments as SCENARIO/ALGORITHM, or patterns such as linear/*; none: all."""
     seeds: int | None = None
     """Seeds of each experiment (unset: as many as it asks for)."""
     execution: Annotated[ExecutionOptions, tyro.conf.arg(name="")] = field(
@@ -46,18 +46,18 @@ class RunExperiments(CommandOptions):
     evaluate: bool = True
     """Whether the scenarios of these experiments are evaluated when their runs are done."""
     rerun: bool = False
-    """Whether all rows are evaluated anew, of the policies that there are, rather than the new ones."""
+    """Whether all rows are evaluated again, not only those of new policies."""
     dry_run: bool = False
     """Print what would be run, with the minutes expected, and do nothing."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Run, evaluate, and say what failed."""
         from agents.experiments.catalogue import EXPERIMENTS
-        from agents.experiments.runner import Campaign, plan, plan_rows
+        from agents.experiments.runner import Campaign, plan_rows, plan_runs
 
         if self.seeds is not None and self.seeds < 1:
             raise ParameterError("seeds", self.seeds, "must be at least 1")
-        tasks = plan(EXPERIMENTS, self.folder, self.experiments, self.seeds)
+        tasks = plan_runs(EXPERIMENTS, self.folder, self.experiments, self.seeds)
         campaign = Campaign(tasks, self.execution.processes or 2)
         if self.dry_run:
             rows = plan_rows(tasks)
@@ -96,7 +96,7 @@ class RunExperiments(CommandOptions):
                 with progress_bar() as progress:
                     bar = progress.add_task(f"evaluating {task.name}", total=1.0)
 
-                    def told(name: str, share: float, bar: Any = bar, task: Any = task) -> None:
+                    def show_share(name: str, share: float, bar: Any = bar, task: Any = task) -> None:
                         text = f"evaluating {task.name}, {name}"
                         progress.update(bar, completed=share, description=text)
 
@@ -106,7 +106,7 @@ class RunExperiments(CommandOptions):
                         self.results,
                         again=self.rerun,
                         runner=runner,
-                        on_progress=told,
+                        on_progress=show_share,
                     )
             except ShakeError as error:
                 failures[f"evaluation of {task.name}"] = str(error)

@@ -25,7 +25,7 @@ class ModelCard(CommandOptions):
     """
 
     policy: tyro.conf.Positional[Path]
-    """Run directory or policy file; the card comes to stand beside the file, as *.md and *.png."""
+    """Run directory or policy file; the card is written beside the file, as *.md and *.png."""
     result: tuple[Path, ...] = ()
     """Result files of shake evaluate that hold a row made of this policy."""
     robustness: Path | None = None

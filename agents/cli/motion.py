@@ -32,7 +32,7 @@ OFFSET_WORTH_SAYING = 0.05  # of the peak
 
 @dataclass(frozen=True, kw_only=True)
 class Motion(CommandOptions):
-    """Describe every channel of a file of recorded motion, and what scale the table needs for it.
+    """Describe every channel of a file of recorded motion, and the scale that the table needs.
 
     Reads PEER .AT2, CSMIP/CESMD volume 1 and 2, K-NET and KiK-net, ESM, COSMOS, SMC, AFAD, GeoNet, CWA,
     CDMG, CSV or text in columns, .mat, .xlsx; MiniSEED and other binary files where ObsPy is installed.
@@ -133,7 +133,7 @@ def print_channels(
 
 @dataclass(frozen=True, kw_only=True)
 class Accept(CommandOptions):
-    """Hold measured accelerations of a table against a required response spectrum, clause by clause.
+    """Check measured accelerations of a table against a required response spectrum, clause by clause.
 
     Exits with 1 where a clause is not met.
 
@@ -212,10 +212,10 @@ def print_acceptance(result: Acceptance, console: Console) -> None:
     """Print the clauses, the verdict and where the numbers come from."""
     console.print(escape(f"{result.required.name}: {result.required.source}"))
     rows = [
-        (clause.name, clause.found, clause.required, "pass" if clause.passed else "FAIL")
+        (clause.name, clause.measured, clause.required, "pass" if clause.passed else "FAIL")
         for clause in result.clauses
     ]
-    print_table(console, ("clause", "found", "required", ""), rows, left=(1, 2), fold=0)
+    print_table(console, ("clause", "measured", "required", ""), rows, left=(1, 2), fold=0)
     for source in dict.fromkeys(clause.source for clause in result.clauses):
         named = sorted({c.name.partition(": ")[2] for c in result.clauses if c.source == source})
         console.print(escape(f"{'; '.join(named)}: {source}"))

@@ -1,4 +1,4 @@
-"""Where a command writes: checked before the work begins, and never over an earlier result unasked."""
+"""Where a command writes: checked before the work begins; earlier results stay unless told otherwise."""
 
 from __future__ import annotations
 

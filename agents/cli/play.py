@@ -18,7 +18,7 @@ from rich.markup import escape
 from agents.cli.command_options import CommandOptions
 from agents.cli.output_path import require_writable_file
 from agents.progress import progress_bar
-from agents.reporting.video import FILMS, film
+from agents.reporting.video import FILMS, write_video
 from agents.scenario_options import ScenarioOptions
 from shake_env import ShakeTableEnv
 from shake_env.controller import Controller, decide
@@ -31,7 +31,7 @@ from shake_env.scenario.scenario import Scenario
 
 @dataclass(frozen=True, kw_only=True)
 class Play(CommandOptions):
-    """Show a controller at work in a window, or save it as a film.
+    """Show a simulated test in a window, or save it as a video.
 
     Try:
       shake play
@@ -42,7 +42,7 @@ class Play(CommandOptions):
 
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
     controller: str | None = None
-    """Name of a classical controller, policy, analytic or off-policy (those that ship), or the path of a
+    """Name of a classical controller or of a policy that ships (ppo, apg, dagger, sac), or the path of a
     policy file or run directory (default: LQR, with an estimator where the scenario shows measured
     signals)."""
     record: str | None = None
@@ -91,7 +91,7 @@ class Play(CommandOptions):
         else:
             with progress_bar() as progress:
                 task = progress.add_task("film", total=1.0)
-                frames = film(
+                frames = write_video(
                     self.save, episode.frames(lambda share: progress.update(task, completed=share))
                 )
             console.print(f"wrote {escape(str(self.save))}")

@@ -25,12 +25,12 @@ SHOWN = ("linear", "as-printed", "laboratory", "unknown-specimen", "yielding")
 
 @dataclass(frozen=True, kw_only=True)
 class Robustness(FolderOptions):
-    """Drive controllers on tables, specimens, loops and motions that they were not made for.
+    """Measure the robustness of controllers to perturbed tables, specimens, loops and motions.
 
     Specimen mass, storey frequency, damping, friction, loop delay, sensor noise and amplitude are
-    changed one at a time and in pairs; every controller stays what it is on the scenario. Costs are
-    relative to the reference's, which is as unaware. A test counts as lost if a limit ended it, or if
-    its acceleration was further from the target than that of a table that stands still.
+    changed one at a time and in pairs; no controller is redesigned. Costs are relative to the
+    reference's under the same change. A test counts as lost if a limit ended it, or if its acceleration
+    error exceeded that of an uncontrolled table.
 
     Try:
       shake robustness
@@ -60,8 +60,8 @@ class Robustness(FolderOptions):
     )
     all: bool = False
     """Renew docs/robustness.md: every scenario on it with its results and figures, a quarter of an hour.
-    A scenario is not run again where policies and settings are those of before, and every controller
-    costs what it did on what is not changed."""
+    A scenario is skipped where policies and settings are unchanged and every controller has its
+    earlier cost on the unperturbed scenario."""
     rerun: bool = False
     """With --all: run every scenario in any case."""
 
@@ -90,7 +90,7 @@ class Robustness(FolderOptions):
         return result
 
     def _renew(self, console: Console) -> dict[str, Any]:
-        from agents.reporting.markdown_blocks import put
+        from agents.reporting.markdown_blocks import put_block
         from agents.reporting.robustness_figures import draw_robustness
         from agents.reporting.robustness_tables import (
             PREFIX,
@@ -119,7 +119,7 @@ class Robustness(FolderOptions):
             result = read_robustness(file)
             pictures = [p for p in draw_robustness(result, page.parent / "figures", svg=False)]
             shown = robustness_section(result, [p.relative_to(page.parent) for p in pictures])
-            put(page, f"robustness {name}", shown, end=name)
+            put_block(page, f"robustness {name}", shown, end=name)
             written += [str(path) for path in (file, *pictures)]
             console.print(f"wrote {file} and {len(pictures)} figures")
         console.print(f"wrote {page}: then renew the cards with shake model-card")
@@ -136,7 +136,7 @@ def _measure(command: Robustness, options: ScenarioOptions) -> dict[str, Any]:
             scenario,
             command.controllers or (),
             tuned=tuned_values(command.tuned),
-            grid=Grid.of(scenario, command.perturb, command.maps),
+            grid=Grid.from_scenario(scenario, command.perturb, command.maps),
             earthquakes=command.earthquakes,
             seed=command.seed,
             runner=runner,
@@ -168,7 +168,7 @@ def _identity(command: Robustness, options: ScenarioOptions) -> dict[str, Any]:
     scenario = options.build()
     tuned = tuned_values(command.tuned)
     chosen, sources = controllers_with_sources(command.controllers or (), scenario, tuned)
-    grid = Grid.of(scenario, command.perturb, command.maps)
+    grid = Grid.from_scenario(scenario, command.perturb, command.maps)
     return plain(
         {
             "scenario": given_options(options.__dict__),

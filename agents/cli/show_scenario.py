@@ -23,8 +23,8 @@ from shake_env.scenario.scenario_writer import write_scenario
 class ShowScenario(CommandOptions):
     """Print every field of a scenario, by the path that --set takes, and what an observation holds.
 
-    --write makes a scenario file: every --scenario and `make_scenario` take its path. So do they what
-    --json prints, as a file whose name ends in .json.
+    --write makes a scenario file, whose path every --scenario and `make_scenario` take. They also take
+    the output of --json, as a file whose name ends in .json.
 
     Try:
       shake show-scenario

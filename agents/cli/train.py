@@ -17,7 +17,7 @@ from agents.training.config import TrainConfig, read_config, require_same
 
 @dataclass(frozen=True, kw_only=True)
 class Train(CommandOptions):
-    """Train a policy. An interrupted run goes on exactly with --resume.
+    """Train a policy. --resume continues an interrupted run exactly.
 
     Checkpoints are numbers in safetensors and JSON: reading one runs no code, whoever made it.
 
@@ -33,9 +33,9 @@ class Train(CommandOptions):
     run_directory: Annotated[Path, tyro.conf.arg(name="run-dir")]
     """Directory of the run; must not exist or be empty, unless it is resumed."""
     config: TrainConfig = field(default_factory=TrainConfig)
-    """What decides the result; a resumed run has its own, from which none given here may differ."""
+    """Configuration of the run; with --resume no option may differ from the run's own."""
     resume: bool = False
-    """Go on with the run from its last checkpoint. Checkpoints hold no pickles, so that reading one runs
+    """Continue the run from its last checkpoint. Checkpoints hold no pickles, so that reading one runs
     no code; those of earlier versions, which do, are refused."""
 
     @property
@@ -60,7 +60,7 @@ class Train(CommandOptions):
         require_same(given, self.run_directory, remedy)
 
     def run(self, console: Console) -> dict[str, Any]:
-        """Train in sight of a person, and say where the policy lies."""
+        """Train with progress on the terminal, and print the path of the policy."""
         from agents.run_directory import folder_contents
         from agents.training.progress import TrainingView
         from agents.training.run import resume, train

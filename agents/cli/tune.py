@@ -25,7 +25,7 @@ ALL = "all"
 
 @dataclass(frozen=True, kw_only=True)
 class Tune(CommandOptions):
-    """Search a controller's free parameters on validation earthquakes; goes on where it stopped.
+    """Search a controller's free parameters on validation earthquakes; resumes an earlier search.
 
     Try:
       shake tune lqg --scenario laboratory

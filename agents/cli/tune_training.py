@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # the rest of the command line starts without torch
 
 @dataclass(frozen=True, kw_only=True)
 class TuneTraining(CommandOptions):
-    """Search the values of a campaign's experiment by short trainings; goes on where it stopped.
+    """Search an experiment's training configuration by short runs; resumes an earlier search.
 
     Try:
       shake tune-training linear/ppo --minutes 60

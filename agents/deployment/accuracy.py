@@ -18,7 +18,7 @@ from agents.deployment.compiled import CompiledController, CompiledProgram, buil
 from agents.deployment.controller_program import controller_program
 from agents.deployment.program import Program
 from agents.deployment.recorded import RecordedDecisions, record_decisions
-from agents.deployment.widened import widened
+from agents.deployment.widened import to_float64
 from shake_env.controller import decide
 from shake_env.errors import NumericalError
 from shake_env.model.parameters import FloatArray
@@ -32,7 +32,8 @@ EXACT, SINGLE, COST = 1e-9, 1e-4, 1e-3  # of the action's range, and of a test's
 STEP, EXCEPTIONS = 1.2e-7, 1e-4
 SANITIZED = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 COMPILERS = ("gcc", "clang")
-PERIODS, RECORDS_PERIODS = 2000, 6000  # that are compared: 10 s at 200 Hz, on `records` 30 s
+LOOPED = 2  # earthquakes whose costs are compared with the program in the loop
+PERIODS, RECORDS_PERIODS = 2000, 6000  # that are compared: 10 s at 200 Hz, of a scenario of records 30 s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +69,6 @@ def agreement(
     *,
     supervised: bool = False,
     earthquakes: int = 10,
-    looped: int = 2,
     random: int = 3000,
 ) -> Agreement:
     """Compare a controller's program with the controller.
@@ -79,8 +79,6 @@ def agreement(
         As for `controller_program`.
     earthquakes
         On which decisions are compared: filtered noise and the embedded records.
-    looped
-        Of these, the first ones, whose costs are compared with the program in the loop.
     random
         Number of random observations.
 
@@ -96,14 +94,14 @@ def agreement(
     records = recorded_earthquakes(scenario)
     quakes = [*noise_earthquakes(scenario, max(earthquakes - len(records), 0)), *records][:earthquakes]
     single = CompiledController(replace(program, precision="float32"))
-    ours, _ = rollout(single, scenario, quakes[:looped])
-    theirs, _ = rollout(controller, scenario, quakes[:looped])
+    ours, _ = rollout(single, scenario, quakes[:LOOPED])
+    theirs, _ = rollout(controller, scenario, quakes[:LOOPED])
     costs = [abs(a.cost - b.cost) / b.cost for a, b in zip(ours, theirs, strict=True)]
-    reference = widened(controller)
-    periods = RECORDS_PERIODS if scenario.name == "records" else PERIODS
+    reference = to_float64(controller)
+    periods = RECORDS_PERIODS if scenario.reserved_for_testing else PERIODS
     decisions = record_decisions(reference, scenario, quakes, periods)
     double = CompiledProgram(program)
-    difference = differences(double, decisions)
+    difference = action_differences(double, decisions)
     rows = random_observations(scenario, random)
     outputs, codes = double.step(double.begin(random), rows)
     finite = np.isfinite(rows).all(axis=1)
@@ -119,7 +117,7 @@ def agreement(
         decisions=difference.size,
         largest=float(difference.max()),
         exceptions=int(np.sum(difference > EXACT)),
-        single=float(differences(single, decisions).max()),
+        single=float(action_differences(single, decisions).max()),
         cost=float(max(costs)),
         random=random,
         random_largest=float(np.abs(outputs[taken] - actions[taken]).max()),
@@ -128,16 +126,16 @@ def agreement(
     )
 
 
-def differences(compiled: CompiledProgram, decisions: RecordedDecisions) -> FloatArray:
+def action_differences(compiled: CompiledProgram, decisions: RecordedDecisions) -> FloatArray:
     """Return the difference of each decision (periods, tables) from the recorded one."""
     memory = compiled.begin(decisions.actions.shape[1])
-    found = np.empty(decisions.actions.shape)
+    difference = np.empty(decisions.actions.shape)
     for k, (fresh, shown) in enumerate(zip(decisions.fresh, decisions.observations, strict=True)):
         outputs, codes = compiled.step(memory, shown, fresh)
         if codes.any():
             raise NumericalError(compiled.program.name, codes.tolist(), f"refused period {k}")
-        found[k] = np.abs(outputs[:, 0] - decisions.actions[k])
-    return found
+        difference[k] = np.abs(outputs[:, 0] - decisions.actions[k])
+    return difference
 
 
 def random_observations(scenario: Scenario, number: int, seed: int = 0) -> NDArray[np.float32]:
@@ -154,7 +152,7 @@ def random_observations(scenario: Scenario, number: int, seed: int = 0) -> NDArr
     return np.clip(rows, -OBSERVATION_BOUND, OBSERVATION_BOUND, where=np.isfinite(rows), out=rows)
 
 
-def streamed(
+def run_test_program(
     test: Sequence[str | Path], fresh: NDArray[Any], observations: NDArray[Any], outputs: int = 1
 ) -> tuple[FloatArray, FloatArray]:
     """Return codes (periods,) and outputs (periods, outputs) of a compiled test program.
@@ -177,8 +175,8 @@ def streamed(
     command = [*map(str, test), "--stream"]
     done = subprocess.run(command, input=rows.tobytes(), capture_output=True, check=False)
     if done.returncode:
-        found = done.stderr.decode(errors="replace")[-3000:]
-        raise NumericalError("test program", Path(command[-2]).name, f"failed: {found}")
+        output = done.stderr.decode(errors="replace")[-3000:]
+        raise NumericalError("test program", Path(command[-2]).name, f"failed: {output}")
     answer = np.frombuffer(done.stdout).reshape(len(rows), outputs + 1)
     return answer[:, 0], answer[:, 1:]
 
@@ -207,7 +205,7 @@ def memory_checks(
                 done = subprocess.run([str(test)], capture_output=True, text=True, check=False)
                 if done.returncode or not done.stdout.startswith("ok"):
                     raise NumericalError(cc, program.name, (done.stdout + done.stderr)[-2000:])
-                streamed([test], fresh, stream)
+                run_test_program([test], fresh, stream)
                 checked.append(cc)
         if shutil.which("valgrind"):
             test = build_test(folder, program.name, ("-O1", "-g"))
@@ -218,6 +216,6 @@ def memory_checks(
                 "-q",
                 test,
             ]
-            streamed(command, fresh, stream)
+            run_test_program(command, fresh, stream)
             checked.append("valgrind")
     return tuple(checked)

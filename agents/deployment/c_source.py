@@ -24,7 +24,7 @@ WIDTH = 100  # of a line of constants
 TOLERANCE: Mapping[Precision, float] = {"float64": 1e-6, "float32": 1e-4}
 
 
-def number(value: float, precision: Precision = "float64") -> str:
+def c_number(value: float, precision: Precision = "float64") -> str:
     """Return a number as a C constant that has exactly its value in that precision."""
     value = float(value)
     if not math.isfinite(value):
@@ -37,7 +37,7 @@ def number(value: float, precision: Precision = "float64") -> str:
     return f"{text}F" if single else text
 
 
-def environment(precision: Precision) -> jinja2.Environment:
+def template_environment(precision: Precision) -> jinja2.Environment:
     """Return the templates; the filter `real` writes a number, `exact` one in double."""
     made = jinja2.Environment(
         loader=jinja2.FileSystemLoader(FOLDER),
@@ -47,8 +47,8 @@ def environment(precision: Precision) -> jinja2.Environment:
         keep_trailing_newline=True,
         autoescape=False,
     )
-    made.filters["real"] = lambda value: number(value, precision)
-    made.filters["exact"] = number
+    made.filters["real"] = lambda value: c_number(value, precision)
+    made.filters["exact"] = c_number
     made.globals["product"] = _product
     return made
 
@@ -64,7 +64,7 @@ def _product(block: Mapping[str, Any], name: str, vector: str, result: str) -> s
 
 def render_program(program: Program) -> dict[str, str]:
     """Return the texts of header and source by file name."""
-    env = environment(program.precision)
+    env = template_environment(program.precision)
     blocks = _blocks(env, program)
     code = "\n".join(block["code"] for block in blocks)
     context = {
@@ -108,7 +108,7 @@ def write_program(
     udp
         Numbers of the datagram (`agents.deployment.rehearsal.datagram`); None: no program for UDP.
     """
-    folder, env = Path(folder), environment(program.precision)
+    folder, env = Path(folder), template_environment(program.precision)
     texts = render_program(program)
     context = {
         "name": program.name,
@@ -131,7 +131,7 @@ def write_program(
 
 
 def _rows(values: FloatArray) -> list[str]:
-    return [", ".join(number(value) for value in row) for row in values]
+    return [", ".join(c_number(value) for value in row) for row in values]
 
 
 def _blocks(env: jinja2.Environment, program: Program) -> list[dict[str, Any]]:
@@ -166,7 +166,9 @@ def _constants(block: Block, precision: Precision) -> str:
         integers[f"{name}_columns"] = columns.tolist()
         integers[f"{name}_ends"] = np.cumsum(np.count_nonzero(matrix, axis=1)).tolist()
     texts = [
-        _constant("real", f"{block.kind}_{name}", [number(value, precision) for value in array.ravel()])
+        _constant(
+            "real", f"{block.kind}_{name}", [c_number(value, precision) for value in array.ravel()]
+        )
         for name, array in arrays.items()
         if array.size
     ]
@@ -189,7 +191,9 @@ def _constant(c_type: str, name: str, values: Sequence[Any]) -> str:
 @lru_cache(maxsize=2)
 def _helper_sources(precision: Precision) -> dict[str, str]:
     """Return the small functions that blocks share, by name."""
-    text = environment(precision).get_template("helpers.c").render(single=precision == "float32")
+    text = (
+        template_environment(precision).get_template("helpers.c").render(single=precision == "float32")
+    )
     parts = re.split(r"^/\*\* (\w+) \*/\n", text, flags=re.MULTILINE)[1:]
     return dict(zip(parts[::2], parts[1::2], strict=True))
 

@@ -35,7 +35,7 @@ def identifier(text: str) -> str:
     return plain if plain[:1].isalpha() else f"x_{plain}"
 
 
-def channels(names: Iterable[str], scales: FloatArray) -> tuple[Channel, ...]:
+def named_channels(names: Iterable[str], scales: FloatArray) -> tuple[Channel, ...]:
     """Return channels of names such as ``"table velocity [m/s]"``; equal names are numbered."""
     made: list[Channel] = []
     taken: set[str] = set()
@@ -61,7 +61,7 @@ def observation_channels(scenario: Scenario) -> tuple[Channel, ...]:
         entry = np.ones(layout.readings_count + layout.sensing.last_action)
         entry[: layout.readings_count] = layout.reading_scale
         scale[layout.history] = np.tile(entry, layout.sensing.history)
-    return channels(layout.names, scale)
+    return named_channels(layout.names, scale)
 
 
 def current_channel(scenario: Scenario) -> Channel:

@@ -81,13 +81,13 @@ def as_program(
     """Return a controller object as a program; arguments as of `controller_program` and `Program`."""
     return Program(
         name=prefix,
-        title=plain(title),
+        title=comment_text(title),
         block=block_of(controller, scenario),
         inputs=observation_channels(scenario),
         outputs=(current_channel(scenario),),
         period=scenario.control_period,
         accepts_any_input=isinstance(controller, Supervised),
-        provenance={key: plain(text) for key, text in provenance.items()},
+        provenance={key: comment_text(text) for key, text in provenance.items()},
         valve=valve_numbers(scenario.nonlinearity.valve),
         precision=precision,
     )
@@ -106,6 +106,6 @@ def valve_numbers(valve: ServoValve) -> dict[str, Any]:
     }
 
 
-def plain(text: str) -> str:
+def comment_text(text: str) -> str:
     """Return a text that may stand in a C comment and a C string."""
     return text.replace("\\", "/").replace('"', "'").replace("*/", "* /").replace("\n", " ")

@@ -16,7 +16,7 @@ import zipfile
 from pathlib import Path
 from typing import Any, Literal
 
-from agents.deployment.c_source import environment, render_program, tidy
+from agents.deployment.c_source import render_program, template_environment, tidy
 from agents.deployment.channels import Channel
 from agents.deployment.compiled import FLAGS, run_compiler
 from agents.deployment.program import Program
@@ -55,7 +55,7 @@ def write_fmu(program: Program, path: str | os.PathLike[str], version: Version =
     major = version[0]
     texts = render_program(program)
     token = "{" + hashlib.sha256("".join(texts.values()).encode()).hexdigest()[:32] + "}"
-    env = environment(program.precision)
+    env = template_environment(program.precision)
     env.filters["unit"] = _unit
     interface = f"{program.name}_fmi{major}.c"
     context: dict[str, Any] = {

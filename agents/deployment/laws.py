@@ -115,7 +115,7 @@ def _(controller: EstimatedState, scenario: Scenario) -> Block:
     arrays = {
         "A": model.A, "B": model.B, "C": model.C, "ahead": model.ahead, "gains": gains,
         "S": recursion.S, "W_before": recursion.W_before, "W_now": recursion.W_now,
-        "foresight": controller.foresight,
+        "predicted_ground": controller.predicted_ground,
     }  # fmt: skip
     numbers = {
         "states": model.order,

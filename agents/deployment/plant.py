@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 import shake_env
-from agents.deployment.channels import Channel, channels, current_channel, identifier
-from agents.deployment.controller_program import plain, valve_numbers
+from agents.deployment.channels import Channel, current_channel, identifier, named_channels
+from agents.deployment.controller_program import comment_text, valve_numbers
 from agents.deployment.program import Block, Precision, Program, flat
 from agents.provenance import code_version
 from shake_env.dynamics.linear import TableDynamics
@@ -44,7 +44,7 @@ def plant_program(
     """
     if scenario.equations != ModelEquations():
         raise ScenarioError("equations", scenario.equations, "the exported table needs corrected ones")
-    model = TableModel.of(scenario)
+    model = TableModel.from_scenario(scenario)
     block = _table(model.dynamics, scenario, *_sensors(scenario))
     provenance = {
         "program": f"shake-env {shake_env.__version__}, {code_version() or 'not a git checkout'}",
@@ -53,13 +53,13 @@ def plant_program(
     }
     return Program(
         name=prefix or identifier(f"table_{scenario.name}").lower(),
-        title=plain(f"Shake table with specimen and sensors, scenario {scenario.name}"),
+        title=comment_text(f"Shake table with specimen and sensors, scenario {scenario.name}"),
         block=block,
         inputs=(current_channel(scenario),),
         outputs=output_channels(scenario),
         period=scenario.control_period,
         accepts_any_input=False,
-        provenance={key: plain(text) for key, text in provenance.items()},
+        provenance={key: comment_text(text) for key, text in provenance.items()},
         valve=valve_numbers(scenario.parts.valve),
         precision=precision,
         rounds_inputs=False,
@@ -72,12 +72,12 @@ def output_channels(scenario: Scenario) -> tuple[Channel, ...]:
     readings = scenario.observation.reading_names
     names = [*(f"{name} [{UNITS[name]}]" for name in SIGNALS), *(f"{f} [m/s^2]" for f in floors)]
     names += [f"measured {name} [{UNITS.get(name, 'm/s^2')}]" for name in readings]
-    return channels(names, np.ones(len(names)))
+    return named_channels(names, np.ones(len(names)))
 
 
 def _sensors(scenario: Scenario) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """Return arrays, integers and numbers of the outputs."""
-    measurement, layout = TableModel.of(scenario).measurement, scenario.observation
+    measurement, layout = TableModel.from_scenario(scenario).measurement, scenario.observation
     arrays: dict[str, Any] = {"floors": floor_rows(scenario.plant, scenario.nonlinearity.yielding)}
     integers: dict[str, Any] = {}
     if layout.reading_names:

@@ -18,7 +18,7 @@ from shake_env.controller import Controller
 from shake_env.safety.supervisor import Supervised
 
 
-def widened(controller: Controller) -> Controller:
+def to_float64(controller: Controller) -> Controller:
     """Return the controller in float64; a supervisor is changed in place."""
     if isinstance(controller, Supervised):
         prediction = controller.prediction
@@ -26,7 +26,7 @@ def widened(controller: Controller) -> Controller:
             prediction, rows=_wide(prediction.rows), bound=_wide(prediction.bound)
         )
         controller.sensitivity = _wide(controller.sensitivity)
-        controller.controller = widened(controller.controller)
+        controller.controller = to_float64(controller.controller)
     if isinstance(controller, PolicyFile):
         memory = controller.memory
         return replace(

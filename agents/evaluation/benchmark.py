@@ -91,9 +91,9 @@ def run_benchmark(
     }
 
 
-def ranked_summaries(found: Comparison) -> list[GroupSummary]:
+def ranked_summaries(comparison: Comparison) -> list[GroupSummary]:
     """Return a benchmark's summaries by cost, no control last."""
-    return sorted(found.summaries, key=lambda row: (row.controller == "none", row.relative_cost))
+    return sorted(comparison.summaries, key=lambda row: (row.controller == "none", row.relative_cost))
 
 
 def scenario_label(scenario_name: str) -> str:
@@ -113,7 +113,7 @@ def result_file(folder: str | PathLike[str], scenario_name: str) -> Path:
     return Path(folder) / f"bench_{scenario_label(scenario_name)}.json"
 
 
-def read_result(file: str | PathLike[str]) -> dict[str, Any]:
+def read_benchmark(file: str | PathLike[str]) -> dict[str, Any]:
     """Return the result of a benchmark that a file holds.
 
     Raises
@@ -157,7 +157,7 @@ def _fits(row: dict[str, Any], name: str) -> bool:
     return isinstance(value, str) if name in _WORDS else is_number(value)
 
 
-def read_results(folder: str | PathLike[str]) -> list[dict[str, Any]]:
+def read_benchmarks(folder: str | PathLike[str]) -> list[dict[str, Any]]:
     """Return the benchmarks that a folder holds, in the order of `SCENARIOS`.
 
     Raises
@@ -167,7 +167,7 @@ def read_results(folder: str | PathLike[str]) -> list[dict[str, Any]]:
     """
     folder = Path(folder)
     files = [result_file(folder, name) for name in SCENARIOS]
-    return [read_result(file) for file in files if file.exists()]
+    return [read_benchmark(file) for file in files if file.exists()]
 
 
 def difference_of_result(

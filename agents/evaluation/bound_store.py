@@ -110,11 +110,11 @@ def earthquake_bounds(
     for first in range(0, len(earthquakes), BATCH):
         batch = earthquakes[first : first + BATCH]
 
-        def told(share: float, first: int = first, number: int = len(batch)) -> None:
+        def on_share(share: float, first: int = first, number: int = len(batch)) -> None:
             on_progress((first + share * number) / len(earthquakes))
 
         try:
-            bounds += _batch(scenario, batch, told)
+            bounds += _batch(scenario, batch, on_share)
         except ScenarioError as error:
             return Bounds(reason=error.remedy)
         except ShakeError as error:
@@ -129,7 +129,7 @@ def earthquake_bounds(
 
 
 def _batch(
-    scenario: Scenario, earthquakes: Sequence[Earthquake], told: Callable[[float], None]
+    scenario: Scenario, earthquakes: Sequence[Earthquake], on_share: Callable[[float], None]
 ) -> list[EpisodeBound]:
     keys = [_key(episode) for episode in episodes(scenario, earthquakes)]
     bound_of = {key: known for key in keys if (known := _read(key)) is not None}
@@ -137,7 +137,7 @@ def _batch(
     missing = [i for i, key in enumerate(keys) if key not in bound_of and keys.index(key) == i]
     if missing:
         optima = optimal_episodes(
-            scenario, [earthquakes[i] for i in missing], threads=THREADS, on_step=told
+            scenario, [earthquakes[i] for i in missing], threads=THREADS, on_step=on_share
         )
         for i, optimum in zip(missing, optima, strict=True):
             bound_of[keys[i]] = _keep(keys[i], optimum)

@@ -1,4 +1,7 @@
-"""Controllers on the same earthquakes: figures with intervals, as data. Printing is `compare_output`."""
+"""Controllers on the same earthquakes: figures with intervals, as data.
+
+Printing is `agents.reporting.comparison_tables`.
+"""
 
 from __future__ import annotations
 
@@ -132,9 +135,9 @@ def compare(
         traces[name] = histories[traced]
         if isinstance(controller, Supervised):
             shares[name] = controller.interventions().share
-        step, stories = scenario.physics_step, scenario.specimen.stories
+        step = scenario.physics_step
         on_histories(name, [(quake, histories[i]) for i, quake in enumerate(earthquakes)])
-        fidelities[name] = [fidelity(histories[i], step, stories) for i in range(len(earthquakes))]
+        fidelities[name] = [fidelity(histories[i], step) for i in range(len(earthquakes))]
         tracking[name] = [tracking_figures(histories[i], step) for i in range(len(earthquakes))]
         # What is made for each lane's own earthquake or plant has no decision for one table to time.
         untimed = find_controller(name).needs_earthquakes

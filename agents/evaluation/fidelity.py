@@ -30,7 +30,7 @@ class Fidelity:
     energy_ratio: float  # energy dissipated in the first storey over the reference specimen's
 
 
-def fidelity(trajectory: Trajectory, physics_step: float, stories: int) -> Fidelity:
+def fidelity(trajectory: Trajectory, physics_step: float) -> Fidelity:
     """Return the fidelity of a test: spectra, cross-correlation and the other measures of `Fidelity`.
 
     The energy is the work of the base shear on the first storey's drift, by trapezoids over the control
@@ -42,8 +42,6 @@ def fidelity(trajectory: Trajectory, physics_step: float, stories: int) -> Fidel
         Of one table.
     physics_step
         Step of its accelerations [s].
-    stories
-        Number of storeys of the specimen.
     """
     target, achieved = trajectory.target_acceleration, trajectory.table_acceleration
     wanted = spectrum(target, physics_step)

@@ -1,4 +1,4 @@
-"""A table that is not the one a controller was made for: what may differ, and how it is then seen."""
+"""Perturbed tables: which parameters may differ from the design model, and the observation then."""
 
 from __future__ import annotations
 

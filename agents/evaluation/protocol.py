@@ -214,9 +214,9 @@ def evaluate(
     always = (reference,) if known is None else (reference, SANITY_CONTROLLER)
     rows = {name: given.pop(name, Entry(name)) for name in dict.fromkeys(always)} | given
     values = {
-        name: found
+        name: known_values
         for name, each in rows.items()
-        if not each.policies and (found := values_for(name, scenario, tuned)) is not None
+        if not each.policies and (known_values := values_for(name, scenario, tuned)) is not None
     }
     warnings = [
         f"{name} {text}"
@@ -231,7 +231,7 @@ def evaluate(
         name: _latency(each, scenario, values[name].parameters if name in values else None)
         for name, each in rows.items()
     }
-    plain = {name: found.to_json() for name, found in episodes.items()}
+    plain = {name: table.to_json() for name, table in episodes.items()}
     if known is not None:
         _check_same(plain[SANITY_CONTROLLER], known["episodes"].get(SANITY_CONTROLLER))
     bounds = _bounds(scenario, quakes, known, lambda share: on_progress(BOUND, share))
@@ -244,7 +244,7 @@ def evaluate(
         "resamples": resamples,
     }
     summaries = [
-        result_row(name, found, **yardsticks)
+        result_row(name, table, **yardsticks)
         | {
             "information": information_of(_shown_name(rows[name]), scenario),
             "decision_time": latency[name],
@@ -252,7 +252,7 @@ def evaluate(
             "code": code,
             "machine": machine(),
         }
-        for name, found in episodes.items()
+        for name, table in episodes.items()
     ]
     if known is not None:
         for row in known["rows"]:
@@ -263,8 +263,8 @@ def evaluate(
     if normaliser == BOUND:
         bounds["below"] = [
             {"controller": name, **each}
-            for name, found in plain.items()
-            for each in below_bound(found["cost"], bounds["costs"], bounds["disagreements"])
+            for name, table in plain.items()
+            for each in below_bound(table["cost"], bounds["costs"], bounds["disagreements"])
         ]
     return {
         "format": FORMAT,
@@ -308,9 +308,9 @@ def _bounds(
     return bounds.to_json()
 
 
-def _check_same(found: dict[str, Any], before: dict[str, Any] | None) -> None:
+def _check_same(episodes: dict[str, Any], before: dict[str, Any] | None) -> None:
     # Processors round differently, and 7 digits are written.
-    if before is None or not np.allclose(found["cost"], before["cost"], rtol=1e-5):
+    if before is None or not np.allclose(episodes["cost"], before["cost"], rtol=1e-5):
         raise ParameterError(
             "known",
             SANITY_CONTROLLER,
@@ -344,16 +344,16 @@ def _all_episodes(
                 members.append((each.name, run))
     done = dict.fromkeys(range(len(units)), 0.0)
 
-    def told(index: int, share: float) -> None:
+    def on_share(index: int, share: float) -> None:
         done[index] = share
         name = members[index][0]
         own = [done[i] for i, member in enumerate(members) if member[0] == name]
         on_progress(name, sum(own) / len(own))
 
     rows: dict[str, dict[int, list[dict[str, Any]]]] = {}
-    for (name, run), found in zip(members, runner.run(units, told), strict=True):
-        rows.setdefault(name, {}).setdefault(run, []).extend(found)
-    return {name: Episodes.of([*runs.values()]) for name, runs in rows.items()}
+    for (name, run), part in zip(members, runner.run(units, on_share), strict=True):
+        rows.setdefault(name, {}).setdefault(run, []).extend(part)
+    return {name: Episodes.from_rows([*runs.values()]) for name, runs in rows.items()}
 
 
 def _part(
@@ -371,10 +371,10 @@ def _part(
     record = range(len(quakes)) if repeats else ()
     metrics, traces = rollout(controller, driven, quakes, record=record, on_step=report)
     rows = []
-    for lane, found in enumerate(metrics):
-        row = asdict(found)
+    for lane, figures in enumerate(metrics):
+        row = asdict(figures)
         if repeats:
-            row |= asdict(fidelity(traces[lane], scenario.physics_step, scenario.specimen.stories))
+            row |= asdict(fidelity(traces[lane], scenario.physics_step))
         rows.append(plain_row(row))
     return rows
 

@@ -22,7 +22,7 @@ def write_result(result: dict[str, Any], file: str | PathLike[str]) -> None:
 
 
 def _dumps(result: dict[str, Any]) -> str:
-    """Return JSON with the episodes of a run on one line, so that a result is a page and not a roll."""
+    """Return JSON with the episodes of a run on one line, which keeps a result readable."""
     long = {"episodes": result["episodes"], "earthquakes": result["earthquakes"]}
     rest = {key: value for key, value in result.items() if key not in long}
     head = json.dumps(rest, indent=1)[:-2]

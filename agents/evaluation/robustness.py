@@ -1,8 +1,8 @@
-"""What becomes of a controller where table, specimen, loop or motion are not what it was made for.
+"""Robustness of controllers to errors of the model of table, specimen, loop and motion.
 
-Everything is designed on the scenario's nominal model, or was trained on the scenario. Then one thing
-at a time is changed in what it drives, and pairs of things that aggravate each other. What a controller
-is told stays in the units of the nominal model: it notices the change by what the table does, or never.
+Everything is designed on the scenario's nominal model, or was trained on the scenario. One parameter
+of the driven plant is changed at a time, and pairs that aggravate each other. Observations stay in the
+units of the nominal model, so that a controller sees a change in the response alone.
 """
 
 from __future__ import annotations
@@ -66,7 +66,9 @@ class Grid:
     coarse: Mapping[str, tuple[float, ...]]  # values of a map's side, among those of the sweep
 
     @classmethod
-    def of(cls, scenario: Scenario, quantities: Sequence[str] = (), maps: bool = True) -> Grid:
+    def from_scenario(
+        cls, scenario: Scenario, quantities: Sequence[str] = (), maps: bool = True
+    ) -> Grid:
         """Return the values for a scenario; its nominal value is always among them.
 
         Parameters
@@ -128,7 +130,7 @@ def default_controllers(scenario: Scenario) -> tuple[str, ...]:
 def controllers_with_sources(
     names: Sequence[str], scenario: Scenario, tuned: TunedValues | None = None
 ) -> tuple[ControllerSet, dict[str, dict[str, Any]]]:
-    """Return the controllers, designed on the scenario as it stands, and whence the learned ones are.
+    """Return the controllers, designed on the nominal scenario, and the sources of the learned ones.
 
     Raises
     ------
@@ -184,7 +186,7 @@ def robustness(
         As `controller_set.get_controllers` takes them; none: `default_controllers`. The reference is
         run in any case.
     grid
-        What is changed; None: everything, see `Grid.of`.
+        What is changed; None: everything, see `Grid.from_scenario`.
     earthquakes
         Number of filtered-noise earthquakes, the same under every change and for every controller.
     seed
@@ -204,7 +206,10 @@ def robustness(
     ScenarioError
         If a controller is unknown or does not suit.
     """
-    grid, code = Grid.of(scenario) if grid is None else grid, code_version()  # that runs, not that ends
+    grid, code = (
+        Grid.from_scenario(scenario) if grid is None else grid,
+        code_version(),
+    )  # that runs, not that ends
     quakes = robustness_motions(scenario, earthquakes, seed)
     chosen, sources = controllers_with_sources(names, scenario, tuned)
     controllers = chosen.controllers
@@ -317,12 +322,12 @@ def evaluate_perturbations(
             units.append(Unit(name, _perturbed, (portable, *driven), identity))
     done = dict.fromkeys(controllers, 0)
 
-    def told(index: int, share: float) -> None:
+    def on_share(index: int, share: float) -> None:
         if share == 1.0:
             done[units[index].name] += 1
             on_progress(units[index].name, done[units[index].name] / len(groups))
 
-    results = iter((runner or UnitRunner()).run(units, told))
+    results = iter((runner or UnitRunner()).run(units, on_share))
     metrics: dict[str, list[list[EpisodeMetrics]]] = {
         name: [[] for _ in changes] for name in controllers
     }

@@ -39,7 +39,7 @@ class Episodes:
     broken: tuple[tuple[str | None, ...], ...]  # what limit ended an episode
 
     @classmethod
-    def of(cls, rows: Sequence[Sequence[dict[str, Any]]]) -> Episodes:
+    def from_rows(cls, rows: Sequence[Sequence[dict[str, Any]]]) -> Episodes:
         """Collect rows of plain values, runs by earthquakes."""
         names = [name for name in rows[0][0] if name not in ("earthquake", "broken_limit")]
         figures = {

@@ -162,4 +162,4 @@ def _training_scenario(card: dict[str, Any]) -> Scenario | None:
         options = card["config"]["scenario"]
         return ScenarioOptions(**{**options, "set": tuple(options.get("set", ()))}).build()
     except (ShakeError, KeyError, TypeError, AttributeError, ValueError):
-        return None  # a card is a stranger's text
+        return None  # a card may come from anywhere

@@ -1,4 +1,4 @@
-"""The interface of what carries work out, and its order: results as they come, lost workers replaced."""
+"""The interface of executors: results as they come, lost workers replaced."""
 
 from __future__ import annotations
 

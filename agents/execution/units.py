@@ -75,8 +75,8 @@ _report: ContextVar[Callable[[float], None]] = ContextVar("report")
 
 def report(share: float) -> None:
     """Say from inside of a unit which share of it is done; shown where it runs in this process."""
-    if (told := _report.get(None)) is not None:
-        told(share)
+    if (callback := _report.get(None)) is not None:
+        callback(share)
 
 
 class UnitRunner:

@@ -13,7 +13,7 @@ __getattr__, __all__ = names_of(
         "results": ("evaluate_task",),
         "runner": (
             "Campaign",
-            "plan",
+            "plan_runs",
             "plan_rows",
         ),
         "search": (

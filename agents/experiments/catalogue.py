@@ -66,7 +66,7 @@ class ExperimentConfig:
         return replace(self.config, seed=seed)
 
 
-# The nonlinear plan is the strongest classical rival: learning is judged against it, too.
+# The nonlinear plan is the strongest classical controller: learned policies are compared with it, too.
 LABORATORY_BASELINES = (
     "lqg", "lqg-dac", "h-infinity", "inverse-ff-tvc", "lqg-searched", "lqg-searched-force", "tvc",
     "nmpc", "planned", "none",
@@ -137,26 +137,27 @@ def _experiment(
     )
 
 
-# The whole of a laboratory's envelope: rise, strong part and decay. Many earthquakes choose the policy
-# that is kept, for what is lost is lost rarely; and the last part of the stroke costs before it ends.
+# The whole of a laboratory's envelope: rise, strong part and decay. The kept policy is chosen on many
+# earthquakes, since failures are rare; a soft limit covers the last part of the stroke.
 _WHOLE: dict[str, Any] = {"episode_duration": 15.0, "evaluation_earthquakes": 128}
 _EARLY = ("limits.soft_share=0.7", "limits.soft_weight=0.02")
-# And what a table may be asked for beside it: earthquakes that use all of its stroke, whose last fifth
-# costs.
+# Besides, artificial earthquakes that use the whole stroke; a soft limit covers its last fifth.
 _STROKE: dict[str, Any] = {
     "episode_duration": 15.0,
     "num_artificial_motions": 24,
     "evaluation_earthquakes": 64,
 }
 _SOFT = ("limits.soft_share=0.8", "limits.soft_weight=0.05")
-_WHOLE_NOISE = "the length of the test's earthquakes: a table that minds no place walks further in them"
-_LESS_NOISE = "four times the roll-out: what is left above the optimum is the noise of its gradients"
-_LONG = "as many steps as a quarter of an hour has"
-_NO_SIDES = "averaged with its mirror image, for a table has no sides"
-_EXPLORES_LITTLE = (
-    f"a correction within a fiftieth of the current, for it explores a share of that; {_NO_SIDES}"
+_WHOLE_NOISE = (
+    "episodes as long as the test: without a displacement weight a table drifts further in them"
 )
-_BIASES = "biases, for friction and limits do not scale with the motion"
+_LESS_NOISE = "four times the roll-out: the rest above the optimum is gradient noise"
+_LONG = "as many steps as fit in a quarter of an hour"
+_NO_SIDES = "odd symmetry: a table has no preferred direction"
+_EXPLORES_LITTLE = (
+    f"a residual of at most a fiftieth of the current, which bounds the exploration; {_NO_SIDES}"
+)
+_BIASES = "biases: friction and limits do not scale with the motion"
 _BIASED = APGOptions(actor_bias=True)
 
 
@@ -217,7 +218,7 @@ def _paired_with_memory(evaluation_task: str) -> ExperimentConfig:
         total_timesteps=1_507_328,
         **_STROKE,
     )
-    why = "an LSTM, where a memory is worth most; paired roll-outs without a critic"
+    why = "an LSTM for the uncertain plant; paired roll-outs without a critic"
     return _experiment(evaluation_task, config, 6.0, why, otherwise=_HALF)
 
 
@@ -225,12 +226,12 @@ def _gradients_with_memory(evaluation_task: str, minutes: float) -> ExperimentCo
     """Return the experiment of the analytic gradient with a memory, over drawn plants."""
     options = _correction(memory=64, authority=0.1)
     config = TrainConfig(algorithm="apg", apg=options, total_timesteps=6_144_000, **_STROKE)
-    why = "a memory: what a table is like lies in how it answered, not in what it shows now"
+    why = "a memory: the drawn plant shows in past responses, not in one observation"
     return _experiment(evaluation_task, config, minutes, why, otherwise=_SOFT)
 
 
 def _distilled(evaluation_task: str, minutes: float, memory: int = 0) -> ExperimentConfig:
-    """Return the experiment of a policy that learns from the nonlinear plan what it does."""
+    """Return the experiment of a policy that imitates the nonlinear plan."""
     config = TrainConfig(
         algorithm="dagger",
         dagger=DaggerOptions(gru_hidden_size=memory),
@@ -239,7 +240,7 @@ def _distilled(evaluation_task: str, minutes: float, memory: int = 0) -> Experim
         evaluations=10,
         total_timesteps=960_000,
     )
-    why = "what the plan does, at a twentieth of its time; a start for the analytic gradient"
+    why = "imitates the plan at a twentieth of its time; can start the analytic gradient"
     return _experiment(evaluation_task, config, minutes, why, otherwise=_EARLY)
 
 
@@ -247,7 +248,7 @@ def _gradients_from_nothing(evaluation_task: str, learning_rate: float) -> Exper
     """Return the experiment of the analytic gradient for a linear table that is seen in full."""
     options = APGOptions(n_envs=64, rollout_horizon=192, learning_rate=learning_rate)
     config = TrainConfig(algorithm="apg", apg=options, episode_duration=20.0, total_timesteps=15_728_640)
-    why = f"windows of a second, whose end costs half a percent less; {_WHOLE_NOISE}"
+    why = f"windows of a second, whose truncation costs half a percent less; {_WHOLE_NOISE}"
     return _experiment(evaluation_task, config, 3.0, why)
 
 
@@ -284,7 +285,7 @@ EXPERIMENTS: tuple[ExperimentConfig, ...] = (
             odd_symmetry=True,
         ),
         7.0,
-        f"little authority, much of it as exploration, a large step, as a search found; {_NO_SIDES}",
+        f"small residual, large exploration, large step, found by a search; {_NO_SIDES}",
     ),
     _experiment(
         "linear",
@@ -293,7 +294,8 @@ EXPERIMENTS: tuple[ExperimentConfig, ...] = (
         f"{_LONG}; {_NO_SIDES}",
     ),
     _experiment("linear", TrainConfig(algorithm="recurrent-ppo"), 6.0),
-    # With the printed equations a horizon of 0.3 s costs 3.4 % (`lookahead`), of half a second 1.4.
+    # With the printed equations a horizon of 0.3 s costs 3.4 %, of half a second 1.4 %
+    # (`agents.studies.finite_horizon`).
     _gradients_from_nothing("as-printed", 4e-4),
     _ppo_from_nothing("as-printed", 7.0, 0.5),
     _experiment("friction", TrainConfig(algorithm="apg", apg=_BIASED), 6.0, _BIASES),
@@ -301,7 +303,7 @@ EXPERIMENTS: tuple[ExperimentConfig, ...] = (
         "friction",
         TrainConfig(algorithm="apg", apg=_BIASED),
         6.0,
-        f"minds the force two and a half times as much, which costs next to nothing; {_BIASES}",
+        f"force weight 2.5, which hardly changes the cost; {_BIASES}",
         label="apg-force",
         otherwise=("objective.force_weight=2.5",),
     ),
@@ -310,7 +312,7 @@ EXPERIMENTS: tuple[ExperimentConfig, ...] = (
         "friction-coarse",
         TrainConfig(algorithm="apg", apg=replace(_BIASED, learning_rate=3e-4)),
         2.0,
-        f"{_BIASES}; a third of the step, for gradients through coarse steps are steep",
+        f"{_BIASES}; a third of the step: gradients through coarse steps are large",
     ),
     _ppo_from_nothing("friction-coarse", 5.0, biases=True),
     _experiment(
@@ -319,15 +321,15 @@ EXPERIMENTS: tuple[ExperimentConfig, ...] = (
             algorithm="apg", apg=_correction(authority=0.3), total_timesteps=6_144_000, **_WHOLE
         ),
         4.0,
-        "corrects the best law that a search found",
+        "corrects the law of `lqg-searched`",
         otherwise=_EARLY,
     ),
     _experiment(
         "laboratory",
         TrainConfig(algorithm="apg", apg=_correction(), total_timesteps=6_144_000, **_STROKE),
         5.0,
-        "minds the force thirty times as much, for a specimen feels nothing else; and holds its place "
-        "on motions that use all of the stroke",
+        "force weight 30, since the specimen's response depends on the force alone; artificial motions "
+        "that use the whole stroke",
         label="apg-force",
         otherwise=("objective.force_weight=30", *_SOFT),
     ),
@@ -346,13 +348,13 @@ EXPERIMENTS: tuple[ExperimentConfig, ...] = (
             algorithm="apg", apg=_correction(authority=0.3), total_timesteps=4_915_200, **_WHOLE
         ),
         4.0,
-        "corrects the best law that a search found",
+        "corrects the law of `lqg-searched`",
         otherwise=_EARLY,
     ),
     _paired("yielding", 2.0, _WHOLE),
     _distilled("yielding", 9.0),
-    # The realistic scenario that shows the whole state. From nothing, a critic cannot tell good currents
-    # from bad before the tables are lost.
+    # The realistic scenario that shows the whole state. Without a base controller a critic has learned
+    # nothing useful before the tables reach their limits.
     *(
         _experiment(
             "yielding",

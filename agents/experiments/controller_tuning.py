@@ -140,7 +140,7 @@ def tune(
             home = file.with_name(f"{file.stem}-locks") / re.sub(r"[^\w.-]+", "_", study)
             held.enter_context(locked_folder(home, field="study"))
         held.enter_context(storage_errors(storage))
-        result = search(cost, tunable, storage, study, total, seed, on_trial, starts)
+        result = search_parameters(cost, tunable, storage, study, total, seed, on_trial, starts)
     return TuningResult(
         name, scenario.name, scenario_digest(scenario), result.parameters, result.cost,
         result.default_cost, result.trials, result.trials * steps, earthquakes, seed,
@@ -268,7 +268,7 @@ class StudyResult:
     trials: int
 
 
-def search(
+def search_parameters(
     cost: Callable[[dict[str, float]], float],
     tunable: Mapping[str, Tunable],
     storage: str | PathLike[str],

@@ -13,13 +13,13 @@ from agents.execution.environment import folder_token
 from agents.execution.executor import Executor
 from agents.execution.worker import Call, Outcome
 from agents.experiments.catalogue import ExperimentConfig
-from agents.experiments.worker import work
+from agents.experiments.worker import train_run
 from agents.plain_values import typed
 from agents.progress import Progress, display
 from agents.run_directory import CONFIG, PROGRESS, read_json
 from agents.training.checkpoint import checkpoint_steps, checkpoints
 from agents.training.config import TrainConfig, require_same
-from agents.training.run import finished, require_beginnable
+from agents.training.run import is_finished, require_beginnable
 from shake_env.errors import RunDirectoryError, ScenarioError, unknown
 from shake_env.files import file_errors
 
@@ -56,7 +56,7 @@ class Task:
         except RunDirectoryError as error:  # also that of another version, or damaged
             self.state, self.failure = "foreign", str(error)
             return
-        if finished(self.run):
+        if is_finished(self.run):
             self.state, self.share = "done", 1.0
         elif saved := checkpoints(self.run):
             self.state = "begun"
@@ -73,7 +73,7 @@ class Task:
         command = f"shake run-experiments --experiments {self.experiment.name}"
         return Call(
             self.name,
-            work,
+            train_run,
             (str(self.run), self.config.to_json(), command),
             log=self.log,
             folder=(folder, folder_token(folder)),
@@ -100,7 +100,7 @@ class Task:
 
     def finish(self, outcome: Outcome) -> None:
         """Take in what came of the run."""
-        if outcome.error is None and finished(self.run):
+        if outcome.error is None and is_finished(self.run):
             self.state, self.share = "done", 1.0
         else:
             self.state, self.failure = "failed", str(outcome.error or "left no complete result")
@@ -120,7 +120,7 @@ class Campaign:
     Parameters
     ----------
     tasks
-        From :func:`plan`.
+        From :func:`plan_runs`.
     workers
         Runs at a time, for the time left.
     """
@@ -186,7 +186,7 @@ class Campaign:
         return {t.name: t.failure for t in self.tasks if t.state in ("failed", "foreign")}
 
 
-def plan(
+def plan_runs(
     experiments: Sequence[ExperimentConfig],
     folder: str | PathLike[str],
     only: Sequence[str] = (),

@@ -2,9 +2,9 @@
 
 Optuna's tree-structured Parzen estimator (Bergstra et al., 2011) draws the values, and its median pruner
 ends a run whose own evaluations stand behind half of those before it. Everything lies in SQLite: a
-search that was interrupted, or killed, goes on with the trial that it was at, from that run's
-checkpoint. The sampler is seeded by the number of trials done, so that what it draws does not depend on
-where a search was cut.
+search that was interrupted, or killed, resumes the interrupted trial from its run's checkpoint. The
+sampler is seeded by the number of trials done, so that what it draws does not depend on where a search
+was cut.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def find_experiment(name: str) -> ExperimentConfig:
     return experiments[name]
 
 
-def open_study(search: Search, storage: str | PathLike[str]) -> Any:
+def open_search(search: Search, storage: str | PathLike[str]) -> Any:
     """Return the Optuna study of a search, made if need be.
 
     Raises

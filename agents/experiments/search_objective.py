@@ -57,9 +57,9 @@ class ValidationSet:
 
 
 class PruningCallback:
-    """Tells Optuna how a run's own evaluations stand, and ends the run when it is to end.
+    """Reports a run's evaluations to Optuna, and ends the run if it is pruned.
 
-    What is told is the best so far, for that is the policy that a run keeps.
+    The reported value is the best so far, for that is the policy that a run keeps.
     """
 
     def __init__(self, trial: Any, config: TrainConfig, run: Path, until: float = math.inf) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.experiments.search_space import Choice, Knob, Value, search_space_json, search_space_of
-from agents.reporting.markdown_blocks import markdown_table, put
+from agents.reporting.markdown_blocks import markdown_table, put_block
 from agents.run_directory import read_json
 from shake_env.errors import ParameterError
 from shake_env.files import write_text
@@ -217,6 +217,6 @@ def _chosen(knob: Choice, drawn: Sequence[Value]) -> str:
 
 
 def put_searches(page: str | PathLike[str], traces: Sequence[Trace], figures: str = "figures") -> None:
-    """Put all searches into a page, at ``<!-- training searches -->``; see `marked_page.put`."""
+    """Put all searches into a page, at ``<!-- training searches -->`` (`markdown_blocks.put_block`)."""
     page = Path(page)
-    put(page, "training searches", "\n".join(search_markdown(trace, figures) for trace in traces))
+    put_block(page, "training searches", "\n".join(search_markdown(trace, figures) for trace in traces))

@@ -18,7 +18,7 @@ PATIENCE = 120.0  # [s] between two lines that say who holds the run
 LONGEST = 24 * 3600.0  # [s] that a run is waited for which a worker of an earlier campaign goes on with
 
 
-def work(run: str | PathLike[str], values: dict[str, Any], command: str) -> None:
+def train_run(run: str | PathLike[str], values: dict[str, Any], command: str) -> None:
     """Train a configuration, or go on with its run, and keep the run's progress file up to date.
 
     Raises

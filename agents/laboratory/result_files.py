@@ -182,7 +182,7 @@ def _rehearsal(name: str, result: Mapping[str, Any]) -> str:
         str(result["limits_broken"]),
     )
     head = (
-        "hidden plants", "discrepancy", "within 90 %", "error over that of the truth told",
+        "hidden plants", "discrepancy", "within 90 %", "error over that with the true plant",
         "error over the nominal design's", "limits broken",
     )  # fmt: skip
     text += markdown_table(head, [row])

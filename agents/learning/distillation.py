@@ -185,21 +185,23 @@ class Distillation(BaseAlgorithm):
                 mean, memory = self._mean(torch.from_numpy(shown), memory, torch.from_numpy(begun))
             action = label if by_teacher else mean.clip(-1.0, 1.0).numpy()
             rows.append((shown, label, begun))
-            taught_state = _told(taught_state, tables, np.clip(base + scale * action, -1.0, 1.0))
+            taught_state = _with_given_action(
+                taught_state, tables, np.clip(base + scale * action, -1.0, 1.0)
+            )
             tables.step_async(action[:, None])
             shown, _, begun, infos = tables.step_wait()
             if self.ep_info_buffer is not None:
                 self._update_info_buffer(infos, begun)
         self._last_obs, self._last_episode_starts = shown, begun
-        seen, labels, starts = zip(*rows, strict=True)
-        return Labels(np.stack(seen), np.stack(labels), np.stack(starts), np.stack(memories))
+        observations, labels, starts = zip(*rows, strict=True)
+        return Labels(np.stack(observations), np.stack(labels), np.stack(starts), np.stack(memories))
 
     def train(self) -> None:
-        """Fit the student to the labels that are kept."""
+        """Fit the student to the labels of the last rounds."""
         self.policy.set_training_mode(True)
         rate = self.lr_schedule(self._current_progress_remaining)
         update_learning_rate(self.policy.optimizer, rate)
-        # In units of the labels: neither the bound on the gradient nor Adam's epsilon minds them then.
+        # In units of the labels: the gradient's bound and Adam's epsilon are relative to their size.
         size = sum(float(np.sum(each.correction**2)) for each in self.rounds)
         unit = max(size / sum(each.samples for each in self.rounds), 1e-12)
         losses = []
@@ -246,11 +248,13 @@ class Distillation(BaseAlgorithm):
             chosen = starts[order[first : first + count]]
             parts: list[list[torch.Tensor]] = [[], [], [], []]
             for i in np.unique(chosen[:, 0]):
-                kept, (t, lane) = self.rounds[int(i)], chosen[chosen[:, 0] == i, 1:].T
+                labels, (t, lane) = self.rounds[int(i)], chosen[chosen[:, 0] == i, 1:].T
                 span = t + np.arange(length)[:, None]
-                for part, array in zip(parts, (kept.shown, kept.correction, kept.begun), strict=False):
+                for part, array in zip(
+                    parts, (labels.shown, labels.correction, labels.begun), strict=False
+                ):
                     part.append(torch.from_numpy(array[span, lane]))
-                parts[3].append(torch.from_numpy(kept.memory[t // self.sequence_length, lane]))
+                parts[3].append(torch.from_numpy(labels.memory[t // self.sequence_length, lane]))
             yield (*(torch.cat(part, dim=1) for part in parts[:3]), torch.cat(parts[3]))
 
     def _rest(self) -> torch.Tensor:
@@ -283,7 +287,7 @@ class Distillation(BaseAlgorithm):
         return [*super()._excluded_save_params(), "rounds", "teacher"]
 
 
-def _told(
+def _with_given_action(
     state: tuple[Any, ...] | None, tables: ShakeTableVecEnv, action: FloatRows
 ) -> tuple[Any, ...] | None:
     """Return a teacher's state that knows which action (N,) the tables were given instead of its own.

@@ -1,7 +1,7 @@
 """An SB3 actor-critic policy with a memory: a gated recurrent unit over the features.
 
-What a table shows of an unknown specimen lies in how it answered, not in what it shows now. The unit's
-output stands beside the features in front of both networks, so that what needs no memory passes by it.
+An unknown specimen shows in past responses, not in one observation. Both networks receive the unit's
+output beside the features.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ class DirectPolicy(ActorCriticPolicy):
 
 
 def zero_init_skip(policy: ActorCriticPolicy) -> None:
-    """Let the direct path begin at zero: a random law moves the table, a fresh network hardly does."""
+    """Initialise the direct path at zero: a random law drives the table, a new network hardly."""
     assert isinstance(policy.mlp_extractor, DirectActor)
     assert isinstance(policy.action_net, torch.nn.Linear)  # as for any Gaussian action
     with torch.no_grad():
@@ -170,8 +170,8 @@ States = tuple[torch.Tensor, torch.Tensor]
 class LSTMPolicy(RecurrentActorCriticPolicy):
     """Long short-term memories over the features; actor and critic see features and output.
 
-    What needs no memory passes by it, as in `recurrent.GRUPolicy`. In sb3-contrib's own policy the
-    networks see the memory alone, and a law of the state has to be learned through its gates.
+    As in `GRUPolicy`, both receive the features, too. In sb3-contrib's own policy the networks see the
+    memory alone, and a law of the state has to be learned through its gates.
     """
 
     def _build_mlp_extractor(self) -> None:

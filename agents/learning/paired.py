@@ -82,7 +82,7 @@ class PairedVecEnv(VecEnvWrapper):
         gain: float = 1.0,
     ) -> None:
         if not isinstance(venv.unwrapped, ShakeTableVecEnv):
-            remedy = "must be a ShakeTableVecEnv, or what make_sb3_env returns: it is put back"
+            remedy = "must be a ShakeTableVecEnv, or what make_sb3_env returns: its state is set"
             raise ParameterError("venv", type(venv.unwrapped).__name__, remedy)
         if venv.num_envs % 2:
             raise ParameterError("num_envs", venv.num_envs, "must be even: half of them are shadows")

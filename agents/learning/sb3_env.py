@@ -16,10 +16,10 @@ from agents.learning.training_scenario import (
     GAMMA,
     STATE_LIMIT,
     checked_action_scale,
+    find_scenario,
     horizon_of,
     make_training_scenario,
     reward_scale,
-    scenario_of,
 )
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_law
@@ -81,8 +81,8 @@ def make_sb3_env(  # type: ignore[misc]  # `duration` is the episode's, and no o
     """Return N shake tables as one SB3 `VecEnv` that plain PPO can learn on.
 
     Observations are tracking errors of the order of 1 (`agents.learning.features.feature_matrix`),
-    rewards are multiplied by :func:`agents.learning.training_scenario.reward_scale`, and an episode
-    without hope ends early (:func:`agents.learning.training_scenario.make_training_scenario`). The
+    rewards are multiplied by :func:`agents.learning.training_scenario.reward_scale`, and a diverging
+    episode ends early (:func:`agents.learning.training_scenario.make_training_scenario`). The
     ``episode`` record in an info, which SB3 logs as ``ep_rew_mean``, keeps the true return. Lane i of
     ``seed(s)`` repeats ``agents.learning.wrappers.TrainingWrapper`` of an environment with
     ``reset(seed=s + i)``.
@@ -114,7 +114,7 @@ def make_sb3_env(  # type: ignore[misc]  # `duration` is the episode's, and no o
     """
     if not isinstance(num_envs, int | np.integer) or num_envs < 1:
         raise ParameterError("num_envs", num_envs, "must be a whole number of at least 1")
-    made = make_scenario(scenario_of(scenario), cast(Overrides, overrides))
+    made = make_scenario(find_scenario(scenario), cast(Overrides, overrides))
     horizon = horizon_of(gamma, made.control_period)
     training = make_training_scenario(made, horizon=horizon, duration=duration, state_limit=state_limit)
     tables = ShakeTableVecEnv(
@@ -168,7 +168,7 @@ class SB3Controller:
     ) -> None:
         self.model = model
         self.action_scale = checked_action_scale(action_scale)
-        made = make_scenario(scenario_of(scenario))
+        made = make_scenario(find_scenario(scenario))
         base = base_law(base_controller, made)
         self._law = base if isinstance(base, EstimatedLaw) else None
         self._row = None if isinstance(base, EstimatedLaw) else base
@@ -257,7 +257,7 @@ def compare_with_reference(
     seed
         Of the first; the others follow.
     """
-    made = make_scenario(scenario_of(scenario), overrides)
+    made = make_scenario(find_scenario(scenario), overrides)
     motions = noise_earthquakes(made, earthquakes, seed)
     name = reference_name(made)
     controller = SB3Controller(model, made, action_scale=action_scale, base_controller=base_controller)

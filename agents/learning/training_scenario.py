@@ -1,4 +1,4 @@
-"""What a scenario looks like to a learner: shorter episodes, an early end, rewards of the order of 1."""
+"""The scenario for training: shorter episodes, early termination, rewards of the order of 1."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def make_training_scenario(
     ParameterError
         If a number is outside its range.
     """
-    made = make_scenario(scenario_of(scenario), overrides)
+    made = make_scenario(find_scenario(scenario), overrides)
     if made.reserved_for_testing:
         remedy = f"is reserved for testing: train on {made.train_on}, which has the same table"
         raise ScenarioError("scenario", made.name, remedy)
@@ -107,7 +107,7 @@ def checked_action_scale(value: float) -> float:
     return float(value)
 
 
-def scenario_of(scenario: str | os.PathLike[str] | Scenario) -> str | os.PathLike[str] | Scenario:
+def find_scenario(scenario: str | os.PathLike[str] | Scenario) -> str | os.PathLike[str] | Scenario:
     """Return the scenario that a Gymnasium id stands for; a name or a scenario as it is."""
     if not isinstance(scenario, str):
         return scenario

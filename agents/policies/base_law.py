@@ -27,7 +27,7 @@ def base_law(
     full_state = scenario.sensing.full_state and not scenario.delay
     if law in ("lqg", "lqg-dac") or (law == LQG_SEARCHED and not full_state):
         parameters = parameter_values(law, tuned_on or scenario).parameters
-        return EstimatedLaw.of(law, scenario, parameters)
+        return EstimatedLaw.from_name(law, scenario, parameters)
     return base_row(law, scenario, tuned_on)
 
 

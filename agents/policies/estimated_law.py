@@ -49,7 +49,7 @@ class EstimatedLaw:
     actions: int  # own actions remembered
 
     @classmethod
-    def of(
+    def from_name(
         cls, name: str, scenario: Scenario, parameters: Mapping[str, float] | None = None
     ) -> EstimatedLaw:
         """Return the law of a controller's name, as `make_baseline` designs it.
@@ -93,7 +93,7 @@ class EstimatedLaw:
             parts[name][:, columns] = matrix
         return replace(self, **parts)
 
-    def like(self, array: Array) -> EstimatedLaw:
+    def to(self, array: Array) -> EstimatedLaw:
         """Return this law in the library, precision and device of `array`."""
         moved = {f.name: as_like(getattr(self, f.name), array) for f in fields(self)[:-1]}
         return replace(self, **moved)
@@ -242,7 +242,7 @@ def _matrices(scenario: Scenario, controller: EstimatedState, row: FloatArray) -
     # From [known, observation] to what a full-state law is shown.
     known = np.eye(size, size + n)
     preview = np.pad(look[observation.preview], ((0, 0), (size, 0)))
-    exogenous = controller.foresight @ np.vstack([known[ground], known[reference], preview])
+    exogenous = controller.predicted_ground @ np.vstack([known[ground], known[reference], preview])
     ahead = model.ahead @ np.vstack([known[table], known[actions][1:]])
     believed = np.vstack([exogenous[:w], ahead, exogenous[w:]])
     disturbances = known[len(ahead) : len(ahead) + 2]

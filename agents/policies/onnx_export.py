@@ -129,7 +129,7 @@ def export_onnx(policy: PolicyFile, path: str | PathLike[str]) -> Path:
 
 
 def _recall(graph: _Graph, unit: MemoryUnit, features: str) -> tuple[str, list[str]]:
-    """Add a memory's equations (see `memory_units`); return its output and its new state."""
+    """Add a memory's equations (see `recurrent_cells`); return its output and its new state."""
     n = unit.units
     new = graph.affine(features, unit.input_weight, unit.input_bias)
     old = graph.affine("state_0", unit.hidden_weight, unit.hidden_bias)

@@ -2,7 +2,7 @@
 
 The class, or a function, is called with the scenario and returns a `Controller`. Free parameters that
 `shake tune` searches stand in its attribute ``tunable``, a mapping of name to ``(low, high, default)``
-or `baselines.catalogue.Tunable`; it is called with their values by keyword.
+or `baselines.baseline.Tunable`; it is called with their values by keyword.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def _from_file(name: str, file: Path) -> ModuleType:
     sys.path.insert(0, str(file.resolve().parent))  # what lies beside it can be imported
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever a stranger's code raises is told by its line
+    except Exception as error:  # whatever the user's code raises is reported by its line
         del sys.modules[alias]
         raise _refused(name, "its import", error) from error
     finally:
@@ -137,7 +137,7 @@ def _made(
 
 
 def _try_decisions(name: str, controller: Controller, scenario: Scenario) -> None:
-    """Let it decide once for one table and for two, at rest, so that a wrong form is told at once."""
+    """Let it decide once for one table and for two, at rest: a wrong form is an error at once."""
     for tables in ((), (2,)):
         observation = np.zeros((*tables, scenario.observation.size), dtype=np.float32)
         start = np.ones(tables or 1, dtype=bool)

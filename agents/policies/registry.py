@@ -76,7 +76,7 @@ def controllers() -> dict[str, ControllerEntry]:
     for name in SHIPPED:
         shipped = (_shipped_file(name, scenario) for scenario in NAMED)
         files = dict.fromkeys(file.stem for file in shipped if file is not None)
-        summary = f"learned; as the scenario has it: {', '.join(files)}"
+        summary = f"learned; by scenario: {', '.join(files)}"
         entries.append(ControllerEntry(name, "shipped", summary))
     return {entry.name: entry for entry in entries}
 

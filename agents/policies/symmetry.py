@@ -14,11 +14,11 @@ from shake_env.errors import PolicyFileError
 def mirror_averaged(policy: PolicyFile) -> PolicyFile:
     """Return the policy whose network says ``(f(x) - f(-x)) / 2``, where the given one's says ``f(x)``.
 
-    A table has no sides: turned about, it is the same table under the same earthquake turned about, so
+    A table has no preferred direction: mirrored, it is the same table under the mirrored earthquake, so
     that the best policy is odd (the symmetry of van der Pol et al., "MDP homomorphic networks", NeurIPS
-    2020). What a learner's noise has left in it that is even is error, and the mean of a policy and its
-    mirror image is without. In layers of twice the width the two networks stand side by side, the second
-    with its input turned about; the features, a clipped linear map, are odd as they are.
+    2020). The even part of a trained policy is an error, which the mean of a policy and its mirror
+    image does not have. In layers of twice the width the two networks stand side by side, the second
+    with its input negated; the features, a clipped linear map, are odd as they are.
 
     Raises
     ------

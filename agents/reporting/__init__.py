@@ -11,7 +11,7 @@ __getattr__, __all__ = names_of(
         ),
         "csv_file": ("write_csv",),
         "evaluation_tables": ("put_tables",),
-        "markdown_blocks": ("put",),
+        "markdown_blocks": ("put_block",),
         "model_card": (
             "robustness_of",
             "write_card",
@@ -32,6 +32,6 @@ __getattr__, __all__ = names_of(
             "print_markdown",
             "print_table",
         ),
-        "video": ("film",),
+        "video": ("write_video",),
     },
 )

@@ -9,7 +9,7 @@ from typing import Any
 
 from agents.evaluation.results import cost_text
 from agents.reporting.bound_notes import bound_notes, causal_notes, class_note, marked_class
-from agents.reporting.markdown_blocks import markdown_table, put
+from agents.reporting.markdown_blocks import markdown_table, put_block
 
 
 def benchmark_markdown(result: dict[str, Any]) -> str:
@@ -56,7 +56,9 @@ def benchmark_markdown(result: dict[str, Any]) -> str:
 
 
 def put_tables(page: str | PathLike[str], results: Sequence[dict[str, Any]]) -> None:
-    """Put benchmark tables into a page, each at ``<!-- bench NAME -->``; see `markdown_blocks.put`."""
+    """Put benchmark tables into a page, at ``<!-- bench NAME -->`` (`markdown_blocks.put_block`)."""
     page = Path(page)
     for result in results:
-        put(page, f"bench {result['scenario']}", benchmark_markdown(result), end=result["scenario"])
+        put_block(
+            page, f"bench {result['scenario']}", benchmark_markdown(result), end=result["scenario"]
+        )

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from agents.reporting.bound_notes import bound_notes, causal_notes, class_note, marked_class
-from agents.reporting.markdown_blocks import has_place, markdown_table, put
+from agents.reporting.markdown_blocks import has_place, markdown_table, put_block
 
 COLUMNS = (
     "controller", "information", "runs", "cost / {normaliser}", "IQM", "worst 5 %", "cost / {reference}",
@@ -37,14 +37,14 @@ def evaluation_markdown(result: dict[str, Any]) -> str:
             cost_interval(row["interquartile_mean"]),
             cost_interval(row["worst_twentieth"]),
             *([] if same else [cost_interval(row["reference_cost"])]),
-            interval(row["probability_of_improvement"], 2),
-            interval(row["base_shear_rms_error"], 2, 100.0),
-            *(interval(row[n], 3 if n == "optimality" else 1, _scale(n)) for n in shown),
-            interval(row["acceleration_rms_error"], 1, 100.0),
+            interval_text(row["probability_of_improvement"], 2),
+            interval_text(row["base_shear_rms_error"], 2, 100.0),
+            *(interval_text(row[n], 3 if n == "optimality" else 1, _scale(n)) for n in shown),
+            interval_text(row["acceleration_rms_error"], 1, 100.0),
             f"{row['failures']} of {row['episodes']}",
             "-" if row["decision_time"] is None else f"{1e6 * row['decision_time']:.0f}",
         ]
-        for row in ranked(result)
+        for row in ranked_rows(result)
     ]
     seed = "recorded" if result["seed"] is None else f"seeds from {result['seed']}"
     codes = dict.fromkeys(str(row["code"]) for row in result["rows"])
@@ -77,7 +77,7 @@ def _by_event(result: dict[str, Any]) -> list[str]:
         for each in dict.fromkeys(events)
     }
     rows = []
-    for row in ranked(result):
+    for row in ranked_rows(result):
         cost = np.mean(result["episodes"][row["controller"]]["cost"], axis=0)
         ratios = (sum(cost[i] for i in m) / sum(base[i] for i in m) for m in places.values())
         rows.append([row["controller"], *(f"{ratio:.3f}" for ratio in ratios)])
@@ -86,21 +86,21 @@ def _by_event(result: dict[str, Any]) -> list[str]:
 
 
 def cost_interval(figure: dict[str, float]) -> str:
-    """Return a relative cost as `interval` does: three digits after the point, one from 10 on."""
-    return interval(figure, 3 if figure["high"] < 10.0 else 1)
+    """Return a relative cost as `interval_text` does: three digits after the point, one from 10 on."""
+    return interval_text(figure, 3 if figure["high"] < 10.0 else 1)
 
 
 def _scale(name: str) -> float:
     return 1.0 if name == "optimality" else 100.0
 
 
-def ranked(result: dict[str, Any]) -> list[dict[str, Any]]:
+def ranked_rows(result: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the rows of the protocol's result by cost, a controller that is the normaliser first."""
     first = result["normaliser"]
     return sorted(result["rows"], key=lambda r: (r["controller"] != first, r["relative_cost"]["value"]))
 
 
-def interval(figure: dict[str, float] | None, digits: int, scale: float = 1.0) -> str:
+def interval_text(figure: dict[str, float] | None, digits: int, scale: float = 1.0) -> str:
     """Return ``value [low, high]``; the value alone where there is no interval, a dash for None."""
     if figure is None:
         return "-"
@@ -118,13 +118,13 @@ def put_tables(page: str | PathLike[str], results: dict[str, dict[str, Any]]) ->
     Raises
     ------
     ParameterError
-        If a place has no end; see `marked_page.put`.
+        If a place has no end; see `markdown_blocks.put_block`.
     """
     page = Path(page)
     missing = []
     for name, result in results.items():
         if has_place(page, f"evaluation {name}"):
-            put(page, f"evaluation {name}", evaluation_markdown(result), end=name)
+            put_block(page, f"evaluation {name}", evaluation_markdown(result), end=name)
         else:
             missing.append(name)
     return missing

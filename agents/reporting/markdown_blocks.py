@@ -23,7 +23,7 @@ def has_place(page: str | PathLike[str], place: str) -> bool:
     return page.is_file() and _begin(place) in page.read_text(encoding="utf-8")
 
 
-def put(page: str | PathLike[str], place: str, text: str, end: str | None = None) -> None:
+def put_block(page: str | PathLike[str], place: str, text: str, end: str | None = None) -> None:
     """Write a text into a page's place; see `with_block`.
 
     Raises

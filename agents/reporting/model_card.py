@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.policies.policy_file import PolicyFile, file_digest, load_policy
-from agents.reporting.evaluation_tables import interval
+from agents.reporting.evaluation_tables import interval_text
 from agents.reporting.figures.training_curve import draw_training_curve
 from agents.reporting.markdown_blocks import markdown_table
 from agents.reporting.robustness_tables import read_robustness, robustness_findings
@@ -62,8 +62,8 @@ def write_card(
     file = Path(file)
     policy, sha = load_policy(file), file_digest(file)
     evaluations = [(result, _row(result, path, sha)) for path, result in _read(results)]
-    unlike = [] if robustness is None else robustness_of(robustness, sha)
-    if robustness is not None and not unlike:
+    findings = [] if robustness is None else robustness_of(robustness, sha)
+    if robustness is not None and not findings:
         raise ParameterError(
             "robustness", str(robustness), "does not hold this policy: run shake robustness on it"
         )
@@ -73,7 +73,7 @@ def write_card(
         figure = file.with_suffix(".png")
         draw_training_curve(policy.card["curve"], figure)
         written.append(figure)
-    text = card_text(policy, file, sha, evaluations, figure, limits, unlike)
+    text = card_text(policy, file, sha, evaluations, figure, limits, findings)
     write_text(written[0], text)
     return written
 
@@ -107,7 +107,7 @@ def card_text(
     evaluations: Sequence[tuple[dict[str, Any], dict[str, Any]]],
     figure: Path | None,
     limits: str,
-    unlike: Sequence[str] = (),
+    findings: Sequence[str] = (),
 ) -> str:
     """Return the model card of a policy as Markdown.
 
@@ -121,7 +121,7 @@ def card_text(
         Its learning curve, or None.
     limits
         Further sentences on limits of use.
-    unlike
+    findings
         Sentences on tables and motions that it was not trained on.
     """
     file = Path(file)
@@ -162,14 +162,14 @@ def card_text(
         lines += _evaluation(result, row, sha)
     if not evaluations:
         lines += ["Not evaluated on test earthquakes yet.", ""]
-    if unlike:
+    if findings:
         lines += [
             "## Where it was not trained",
             "",
             f"One thing changed at a time, everything else as on `{name}`, and pairs "
             "(`shake robustness`, docs/robustness.md).",
             "",
-            *(f"- {sentence}" for sentence in unlike),
+            *(f"- {sentence}" for sentence in findings),
             "",
         ]
     lines += ["## Limits of use", "", *_limits(policy, name, evaluations, limits), ""]
@@ -199,7 +199,7 @@ def _evaluation(result: dict[str, Any], row: dict[str, Any], sha: str) -> list[s
         ]
     same = result["reference"] == result["normaliser"]
     figures = [
-        (title.format(**result), interval(row[key], digits, scale))
+        (title.format(**result), interval_text(row[key], digits, scale))
         for key, title, digits, scale in ROWS
         if row[key] is not None and not (same and key == "reference_cost")
     ]

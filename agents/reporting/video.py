@@ -21,7 +21,7 @@ FILMS = {".mp4": 30.0, ".gif": 25.0}
 INSTALL = install_hint("agents")
 
 
-def film(path: str | PathLike[str], frames: Frames) -> int:
+def write_video(path: str | PathLike[str], frames: Frames) -> int:
     """Write frames (height, width, 3), at least one, at the rate of `FILMS`; return their number.
 
     Frames are written as they come, so that memory does not grow with the film.

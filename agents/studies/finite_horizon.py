@@ -1,4 +1,4 @@
-"""What looking ahead a finite time costs a learner, before it has learned anything.
+"""Cost of a finite horizon: what a discount or a short window adds to the optimal cost.
 
 On a linear plant the law that a learner converges to is a linear one, whose stationary cost is exact.
 Under a discount it solves a Riccati equation. Under gradients through windows it is where the expected
@@ -100,13 +100,13 @@ def windowed_cost(scenario: Scenario, window: int, discount: float | None = None
     if discount is None:
         discount = TrainConfig(algorithm="apg").discount(scenario.control_period)
     return _ratio(
-        scenario, ScaledProblem.of(scenario.discrete), windowed_law(scenario, window, discount)
+        scenario, ScaledProblem.from_plant(scenario.discrete), windowed_law(scenario, window, discount)
     )
 
 
 def _problem(scenario: Scenario) -> tuple[ScaledProblem, tuple[FloatArray, FloatArray, FloatArray]]:
     """Return the scaled problem, m states, and its stage Q, R, S: (m, m), (1, 1), (m, 1)."""
-    p = ScaledProblem.of(scenario.discrete)
+    p = ScaledProblem.from_plant(scenario.discrete)
     return p, p.stage(scenario.stage_cost)
 
 

@@ -1,4 +1,4 @@
-"""How much of a score-function gradient is signal: estimators beside the exact gradient.
+"""Signal and noise of score-function gradients: estimators beside the exact gradient.
 
 A policy explores about a base controller with white noise of standard deviation s. Any such gradient
 is a mean of ``A_t e_t phi_t / s``, with e the standard normal exploration, phi what the policy sees and
@@ -36,7 +36,7 @@ class NoiseSettings:
     base_controller: BaseLaw = "lqg-searched"
     residual_scale: float = 0.02  # [-] of the current limit
     log_std: float = -3.0  # of the exploration, over the scale
-    tables: int = 64
+    n_envs: int = 64
     rollout: int = 256  # control periods between two times that shadows are put back
     rollouts: int = 12
     seed: int = VALIDATION_SEED
@@ -94,7 +94,7 @@ def gradient_noise(
         Told the share of the work done, 0 to 1.
     """
     chosen = NoiseSettings() if settings is None else settings
-    tables = chosen.tables
+    tables = chosen.n_envs
     base = base_law(chosen.base_controller, scenario)
     env = ShakeTableVecEnv(scenario, tables, base=base, authority=chosen.residual_scale)
     features = FeatureMap(scenario, env.law is not None)
@@ -122,7 +122,7 @@ def gradient_noise(
     rows = []
     for name, reward, values, horizon, smoothing in cases:
         gamma = math.exp(-period / horizon)
-        rows.append(judge.of(name, advantages(reward, values, gamma, smoothing)))
+        rows.append(judge.noise(name, advantages(reward, values, gamma, smoothing)))
     return GradientNoise(
         scenario=scenario.name,
         settings=chosen,
@@ -149,7 +149,7 @@ def _exact(
     half = chosen.rollout // 2
     slopes, observations = [], []
     for number in range(chosen.rollouts):
-        added = torch.zeros((chosen.rollout, chosen.tables), dtype=torch.float64, requires_grad=True)
+        added = torch.zeros((chosen.rollout, chosen.n_envs), dtype=torch.float64, requires_grad=True)
         steps = iter(added)
         shown: list[NDArray[np.float32]] = []
 
@@ -178,7 +178,7 @@ def _explore(
     on_progress: Callable[[float], None],
 ) -> Explored:
     """Return roll-outs of the tables, the first half of the lanes, with exploration, and of shadows."""
-    n, shape = chosen.tables, (chosen.rollouts, chosen.rollout, chosen.tables)
+    n, shape = chosen.n_envs, (chosen.rollouts, chosen.rollout, chosen.n_envs)
     lanes, shadows = range(n), range(n, 2 * n)
     noise = np.random.default_rng(chosen.seed).standard_normal(shape)
     costs, observations = np.empty((*shape[:2], 2 * n)), []
@@ -257,7 +257,7 @@ class _Judge:
         self._features = runs.features[:, :half]
         self._projected = self._features @ (direction / self._size)
 
-    def of(self, name: str, advantage: FloatArray) -> EstimatorNoise:
+    def noise(self, name: str, advantage: FloatArray) -> EstimatorNoise:
         """Return an estimator's noise from its advantages (R, T, N)."""
         A = advantage[:, : self._half] - advantage[:, : self._half].mean()
         weighed = A * self._scores

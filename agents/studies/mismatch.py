@@ -22,7 +22,7 @@ import numpy as np
 import shake_env
 from agents.policies.registry import get_controller
 from agents.provenance import machine
-from agents.reporting.markdown_blocks import markdown_table, put
+from agents.reporting.markdown_blocks import markdown_table, put_block
 from agents.seeds import VALIDATION_SEED
 from shake_env.errors import ScenarioError
 from shake_env.files import write_json
@@ -103,7 +103,9 @@ def mismatch_costs(
     return rows
 
 
-def to_json(rows: Sequence[Mismatch], scenario: Scenario, earthquakes: int, seed: int) -> dict[str, Any]:
+def mismatch_to_json(
+    rows: Sequence[Mismatch], scenario: Scenario, earthquakes: int, seed: int
+) -> dict[str, Any]:
     """Return the rows as plain JSON values, with what they depend on."""
     return {
         "scenario": scenario.name,
@@ -151,11 +153,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         given.seed,
         tell=lambda text: print(text, file=sys.stderr, flush=True),
     )
-    result = to_json(rows, scenario, given.earthquakes, given.seed)
+    result = mismatch_to_json(rows, scenario, given.earthquakes, given.seed)
     if given.output is not None:
         write_json(given.output, result, indent=1)
     if given.page is not None:
-        put(given.page, "mismatch", mismatch_table(result))
+        put_block(given.page, "mismatch", mismatch_table(result))
     print(mismatch_table(result))
     return 0
 

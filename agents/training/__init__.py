@@ -27,7 +27,7 @@ __getattr__, __all__ = names_of(
         "model_factory": ("new_model",),
         "progress": ("TrainingView",),
         "run": (
-            "finished",
+            "is_finished",
             "train_or_resume",
             "require_beginnable",
             "resume",

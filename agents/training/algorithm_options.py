@@ -29,13 +29,13 @@ class ProximalOptions:
     base_controller: BaseLaw = "none"
     """Law that the policy corrects: none (from scratch); on the full state flow (the current that the
     table's own velocity uses), lqr or preview-lqr; lqg or lqg-dac, behind an estimator whose
-    beliefs the policy is then shown as well; free, what a search found for the scenario."""
+    estimates the policy also observes; lqg-searched, the searched design of the scenario."""
     residual_scale: float = 1.0
     """What the policy can add to that law, as a fraction of the current limit."""
     log_std_init: float = -3.0
-    """Log of the initial exploration, relative to the authority. White action noise is expensive (2 % of
-    LQR's current adds 10 % to its cost), but the update's trust region moves the policy by a share of
-    it, so that too little of it learns slowly."""
+    """Log of the initial exploration, relative to the residual scale. White action noise is expensive
+    (2 % of LQR's current adds 10 % to its cost), but the update's trust region moves the policy by a
+    share of it: too little noise learns slowly."""
     paired: bool = False
     """Whether the reward is the difference to a shadow of each table, on the same earthquake and driven
     by the mean action, that is put back to the table at each roll-out. There is then no critic."""
@@ -84,8 +84,8 @@ class OffPolicyOptions:
     tau: float = 0.005
     """Rate at which target networks follow [-]."""
     base_controller: BaseLaw = "flow"
-    """Law that the policy corrects, as PPO's; from nothing, the critic cannot tell good currents from
-    bad before the tables are lost."""
+    """Law that the policy corrects, as PPO's; without one, episodes end at a limit before the critic has
+    learned."""
     residual_scale: float = 0.2
     """What the policy can add to that law, as a fraction of the current limit."""
     paired: bool = False
@@ -101,9 +101,9 @@ class SACOptions(OffPolicyOptions):
     """Soft actor-critic (Haarnoja et al., 2018) as SB3 implements it."""
 
     target_entropy: float = -2.0
-    """Entropy that exploration settles at [nats], relative to the authority."""
+    """Entropy that exploration settles at [nats], relative to the residual scale."""
     log_std_init: float = -1.5
-    """Log of the initial exploration, relative to the authority."""
+    """Log of the initial exploration, relative to the residual scale."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,11 +113,12 @@ class TD3Options(OffPolicyOptions):
     policy_delay: int = 2
     """Gradient steps of the critics for one of the actor."""
     action_noise_std: float = 0.1
-    """Standard deviation of the white noise on the action, relative to the authority."""
+    """Standard deviation of the white noise on the action, relative to the residual scale."""
     target_policy_noise: float = 0.1
-    """Standard deviation of the noise that smooths the critics' targets, relative to the authority."""
+    """Standard deviation of the noise that smooths the critics' targets, relative to the residual
+    scale."""
     target_noise_clip: float = 0.25
-    """Bound on that noise, relative to the authority."""
+    """Bound on that noise, relative to the residual scale."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,10 +137,10 @@ class TQCOptions(SACOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class DaggerOptions:
-    """On-policy distillation of a controller into a policy (see `distillation`)."""
+    """On-policy distillation of a controller into a policy (see `agents.learning.distillation`)."""
 
     teacher: str = "nmpc"
-    """Controller that is asked what it would do, by its name; it sees what the scenario shows."""
+    """Name of the controller that labels the observations of the scenario."""
     n_envs: int = 16
     """Tables run side by side, an episode each round."""
     learning_rate: float = 1e-3
@@ -166,31 +167,31 @@ class DaggerOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class APGOptions:
-    """Analytic policy gradient: back-propagation through the plant (see `analytic_gradient`)."""
+    """Analytic policy gradient: back-propagation through the plant (see `agents.learning.apg`)."""
 
     n_envs: int = 128
     """Tables followed side by side."""
     rollout_horizon: int = 96
-    """Control periods that a gradient looks back through. What they leave out is the specimen's ringing:
-    a shorter window costs base shear first."""
+    """Control periods of the window that a gradient is taken through. A short window truncates the
+    specimen's free vibration, which increases the base-shear error first."""
     learning_rate: float = 1e-3
     """Highest learning rate; it rises over the warm-up and then falls linearly to zero."""
     lr_warmup_fraction: float = 0.05
-    """Share of the run over which the learning rate rises. The first gradients all point one way, and at
-    full rate may carry the loop's gain past what is stable."""
+    """Share of the run over which the learning rate rises. The first gradients agree in direction,
+    and at full rate may make the loop unstable."""
     max_grad_norm: float = 20.0
-    """Bound on the gradient's norm, in stage costs (at unit amplitude) per unit of weight: of the size
-    of what is usual, so that a window in which a loop rang counts no more than others."""
+    """Bound on the gradient's norm, in stage costs (at unit amplitude) per unit of weight, of the usual
+    size: a window in which the loop oscillated then counts no more than others."""
     terminal_value: bool = False
-    """Whether a learned value stands at the window's end (SHAC). A window outlasts most of what a table
-    remembers, and a critic's slope is less certain than its value: for short windows."""
+    """Whether a learned value follows the window's end (SHAC). Useful for short windows: a long one
+    covers most of the response, and a critic's slope is less accurate than its value."""
     td_lambda: float = 0.95
     """Lambda of the critic's targets [-], with a terminal value."""
     gru_hidden_size: int = 0
     """Width of the policy's gated recurrent unit; 0: a policy without memory."""
     checkpoint_segment_length: int = 0
-    """Control periods of a segment that is run again when the gradient is taken instead of being kept,
-    for windows too long to be kept whole; 0: none is. Memory is least near the window's square root."""
+    """Gradient checkpointing: control periods of a segment that is recomputed in the backward pass; 0:
+    off. Memory is least near the square root of the window."""
     actor_bias: bool = False
     """Whether the actor has biases (see PPO's); a policy with memory always has them."""
     base_controller: BaseLaw = "none"
@@ -200,7 +201,7 @@ class APGOptions:
     precision: Literal["float64", "float32"] = "float64"
     """Precision of the plant's state."""
     step_check: bool = False
-    """Whether a step is halved while its own window would cost more with it, so that a large learning
-    rate makes no loop unstable; a step then takes a third longer."""
+    """Whether a step is halved while it increases the cost of its own window, so that a large learning
+    rate does not make the loop unstable; a step then takes a third longer."""
     device: str = "cpu"
     """Torch device. On a CPU a gradient takes tens of milliseconds."""

@@ -1,4 +1,4 @@
-"""Artificial earthquakes for training: what a table may be asked for beside a scenario's own noise.
+"""Artificial earthquakes for training, beside a scenario's own noise.
 
 Filtered noise of one spectrum, within its stroke, teaches a policy little about motions that use all of
 it. These have spectra, lengths and envelopes of their own, none of them taken from a record, and each is
@@ -35,7 +35,7 @@ def artificial_motions(scenario: Scenario, number: int, seed: int) -> tuple[Reco
     """
     if not 1 <= number <= LONGEST:
         raise ParameterError("artificial", number, f"must be 1 to {LONGEST} motions")
-    capacity = TableCapacity.of(scenario.actuator, scenario.specimen, velocity=RATED_VELOCITY)
+    capacity = TableCapacity.from_actuator(scenario.actuator, scenario.specimen, velocity=RATED_VELOCITY)
     motions = []
     for index in range(number):
         name, stream = f"artificial {seed + index}", np.random.default_rng([seed + index, 1])

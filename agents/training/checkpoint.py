@@ -31,14 +31,14 @@ from agents.run_directory import CHECKPOINTS, names_in_words, parse_json
 from agents.training.config import TrainConfig
 from agents.training.model_factory import Model, new_model
 from agents.training.plain_state import (
-    generator,
     generator_state,
     global_generators,
-    joined,
+    join_state,
     require_form,
+    restore_generator,
     restore_tables,
     set_global_generators,
-    split,
+    split_state,
     tables_state,
     whole_number,
 )
@@ -95,7 +95,7 @@ def save_checkpoint(run: str | PathLike[str], model: Model, env: TrainingTables)
     run = Path(run)
     final = run / CHECKPOINTS / f"step-{model.num_timesteps:012d}.safetensors"
     if not final.exists():
-        values, arrays = split(_state(model, env))
+        values, arrays = split_state(_state(model, env))
         header = {"format": FORMAT, "state": values}
         write_bytes(final, save(arrays, {"shake": json.dumps(header)}))
     with file_errors(final.parent):
@@ -160,7 +160,7 @@ def _read(file: Path) -> dict[str, Any]:
             raise ValueError(f"is no checkpoint of this version ({FORMAT})")
         arrays = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
     try:
-        state: dict[str, Any] = joined(header["state"], arrays)
+        state: dict[str, Any] = join_state(header["state"], arrays)
     except RecursionError:
         raise ValueError("is nested too deeply") from None
     return state
@@ -215,7 +215,7 @@ def _restore(model: Model, env: TrainingTables, state: Mapping[str, Any]) -> Non
     restore_tables(base_tables(env), state["tables"])
     if isinstance(env, PairedVecEnv):
         env.go_on(state["last_observation"], state["last_episode_starts"])
-    actions = generator(state["action_space"])
+    actions = restore_generator(state["action_space"])
     if actions is None:
         raise ValueError("action_space must describe a random generator")
     model.action_space._np_random = actions

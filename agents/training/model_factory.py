@@ -41,7 +41,8 @@ _ACTORS: dict[tuple[bool, bool], type[ActorCriticPolicy]] = {
 class _Warm:
     """Warms up with the algorithm's own untrained policy.
 
-    SB3 begins with actions uniform over the whole valve, which throw every table off within a second.
+    SB3 begins with actions uniform over the whole valve, which drive every table to a limit within a
+    second.
     """
 
     def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:

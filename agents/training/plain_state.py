@@ -24,7 +24,7 @@ _BITS = {"PCG64": np.random.PCG64, "PCG64DXSM": np.random.PCG64DXSM}
 _WORDS = 624  # of the state of a Mersenne twister
 
 
-def split(value: Any, name: str = "state") -> tuple[Any, Arrays]:
+def split_state(value: Any, name: str = "state") -> tuple[Any, Arrays]:
     """Return a training state's nest as JSON values, and its arrays and tensors by name.
 
     Raises
@@ -53,13 +53,13 @@ def split(value: Any, name: str = "state") -> tuple[Any, Arrays]:
     return plain(value, name), arrays
 
 
-def joined(value: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
-    """Return the nest that :func:`split` took apart, with arrays for tensors and lists for tuples."""
+def join_state(value: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
+    """Return the nest that :func:`split_state` made parts of; arrays for tensors, lists for tuples."""
     if isinstance(value, dict):
         if set(value) == {ARRAY}:
             return arrays[value[ARRAY]]
-        return {key: joined(each, arrays) for key, each in value.items()}
-    return [joined(each, arrays) for each in value] if isinstance(value, list) else value
+        return {key: join_state(each, arrays) for key, each in value.items()}
+    return [join_state(each, arrays) for each in value] if isinstance(value, list) else value
 
 
 def require_form(value: Any, like: Any, name: str) -> None:
@@ -109,7 +109,7 @@ def generator_state(generator: np.random.Generator | None) -> dict[str, Any] | N
     }
 
 
-def generator(state: Mapping[str, Any] | None) -> np.random.Generator | None:
+def restore_generator(state: Mapping[str, Any] | None) -> np.random.Generator | None:
     """Return the random generator that :func:`generator_state` describes."""
     if state is None:
         return None
@@ -180,7 +180,7 @@ def restore_tables(env: ShakeTableVecEnv, state: Mapping[str, Any]) -> None:
     places = [whole_number(place, "motion", len(motions) - 1) for place in state["motion"]]
     objects: dict[str, list[Any]] = {
         "motion": [motions[place] for place in places],
-        "stream": [generator(stream) for stream in state["stream"]],
+        "stream": [restore_generator(stream) for stream in state["stream"]],
     }
     if PLANTS in state:
         objects[PLANTS] = state[PLANTS]

@@ -1,4 +1,4 @@
-"""What a person sees while a policy learns: in the terminal, and an example for tensorboard."""
+"""Progress of a training run: in the terminal, and an example figure for tensorboard."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class TrainingView:
                 "errors",
                 f"acceleration {100 * acceleration:.1f} %, base shear {100 * shear:.1f} % of target",
             )
-        rows.add_row("that is", Text(meaning(progress)))
+        rows.add_row("that is", Text(curve_meaning(progress)))
         return Group(rows)
 
     def _time_left(self, progress: Progress) -> str:
@@ -118,7 +118,7 @@ def sparkline(values: Sequence[float]) -> str:
     return "".join(BARS[round(float(each) * (len(BARS) - 1))] for each in share)
 
 
-def meaning(progress: Progress) -> str:
+def curve_meaning(progress: Progress) -> str:
     """Return in words what a training run's evaluations say."""
     if not progress.evaluations:
         return "the untrained policy, about to be evaluated for the first time"

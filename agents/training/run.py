@@ -39,7 +39,7 @@ from agents.training.event_log import event_log
 from agents.training.model_factory import Model, new_model
 from agents.training.tables import TrainingTables, base_tables, training_tables
 from agents.training.warm_start import first_file, load_actor_weights
-from agents.training.watch import TrainingWatch, learning_curve
+from agents.training.watch import TrainingWatch, evaluation_curve
 from shake_env.errors import RunDirectoryError
 from shake_env.files import file_errors, replacing, write_json
 
@@ -113,7 +113,7 @@ def resume(
     run = Path(run)
     config = read_config(run)
     with locked_folder(run), file_errors(run):
-        return read_result(run) if finished(run) else _train_on(config, run, report, command)
+        return read_train_result(run) if is_finished(run) else _train_on(config, run, report, command)
 
 
 def train_or_resume(
@@ -139,7 +139,7 @@ def train_or_resume(
         return
     require_same(config, run, "move it away, or name another")
     with locked_folder(run, wait), file_errors(run):
-        if not finished(run):
+        if not is_finished(run):
             _train_on(config, run, report, command)
 
 
@@ -168,7 +168,7 @@ def require_beginnable(config: TrainConfig, run: str | PathLike[str]) -> None:
     require_same(config, run, "name another, or move it away")
 
 
-def read_result(run: str | PathLike[str]) -> TrainResult:
+def read_train_result(run: str | PathLike[str]) -> TrainResult:
     """Return what a finished run came to.
 
     Raises
@@ -186,11 +186,11 @@ def read_result(run: str | PathLike[str]) -> TrainResult:
         raise RunDirectoryError("result", str(file), f"is no result of a run ({error})") from error
 
 
-def finished(run: str | PathLike[str]) -> bool:
+def is_finished(run: str | PathLike[str]) -> bool:
     """Return whether a run has a complete result and the policy that it is of."""
     run = Path(run)
     try:
-        read_result(run)
+        read_train_result(run)
     except RunDirectoryError:
         return False
     return (run / POLICY).is_file()
@@ -255,7 +255,7 @@ def _run(
         watch.evaluate()
         save_checkpoint(run, model, env)
         watch.tell()
-    best_steps, best = min(learning_curve(run), key=lambda point: point[1])
+    best_steps, best = min(evaluation_curve(run), key=lambda point: point[1])
     result = TrainResult(
         run=str(run),
         steps=model.num_timesteps,
@@ -272,7 +272,7 @@ def _run(
         "version": shake_env.__version__,
         "code": code,
         "evaluation": {key: value for key, value in asdict(result).items() if key != "run"},
-        "curve": learning_curve(run),
+        "curve": evaluation_curve(run),
     }
     if (run / FIRST).exists():
         made = load_policy(run / FIRST).card

@@ -158,7 +158,7 @@ def _reference(scenario: Scenario, earthquakes: Sequence[Earthquake]) -> tuple[l
     return [earthquakes[i] for i in lasting], float(np.mean([metrics[i].cost for i in lasting]))
 
 
-def learning_curve(run: str | PathLike[str]) -> list[list[float]]:
+def evaluation_curve(run: str | PathLike[str]) -> list[list[float]]:
     """Return a run's learning curve so far: steps and cost ratio of each evaluation."""
     # A run that was interrupted evaluates again what its last checkpoint had not seen yet.
     curve = dict(evaluations_of_run(Path(run)))

@@ -93,10 +93,10 @@ def closed_loop(plant: CoupledPlant, gain: FloatArray) -> ContinuousClosedLoop:
     layout = plant.layout
     if gain.shape != (layout.order,):
         raise ParameterError("gain shape", gain.shape, f"must be ({layout.order},)")
-    keep = DesignStates.of_law(plant, gain).kept
+    keep = DesignStates.from_law(plant, gain).indices
     if len(keep) == layout.order and plant.actuator.table_stiffness == 0.0:
         raise ParameterError("gain", gain, "feeds back the position, which is left out here")
-    xi = SteadyCoordinates.of(plant)
+    xi = SteadyCoordinates.from_plant(plant)
     shifted = xi.shifted_gain(gain)
     A = (xi.A - np.outer(xi.B[:, 0], shifted))[np.ix_(keep, keep)]
     slowest = float(np.max(np.linalg.eigvals(A).real))

@@ -59,10 +59,10 @@ def h2_lyapunov(plant: CoupledPlant, gain: FloatArray) -> TrackingNorms:
     NumericalError
         If the closed loop is not stable.
     """
-    keep = _states(plant, gain).kept
+    keep = _states(plant, gain).indices
     # The same unit of x_a as in the design, where the gain on it is sqrt(lambda) / r.
     stiffness = abs(float(gain[plant.layout.table_displacement]))
-    xi = SteadyCoordinates.of(plant, 1.0 / max(stiffness, 1.0 / POSITION_TIME))
+    xi = SteadyCoordinates.from_plant(plant, 1.0 / max(stiffness, 1.0 / POSITION_TIME))
     A = (xi.A - np.outer(xi.B[:, 0], xi.shifted_gain(gain)))[np.ix_(keep, keep)]
     slowest = float(np.max(np.linalg.eigvals(A).real))
     if not slowest < 0.0:
@@ -119,13 +119,13 @@ def _states(plant: CoupledPlant, gain: FloatArray) -> DesignStates:
     n = plant.layout.order
     if gain.shape != (n,):
         raise ParameterError("gain shape", gain.shape, f"must be ({n},)")
-    return DesignStates.of_law(plant, gain)
+    return DesignStates.from_law(plant, gain)
 
 
 def _closed_loop(plant: CoupledPlant, gain: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return A - B K, the noise column and the error rows on scaled physical states."""
     states = _states(plant, gain)
-    keep = states.kept
+    keep = states.indices
     model, scale = plant.coupled, plant.state_scale[keep]
     closed = model.A - np.outer(model.B[:, 0], gain)
     E = np.stack([model.C[0] - model.C[2], model.C[1] - model.C[3]])

@@ -76,7 +76,7 @@ class CertaintyEquivalence:
         Whose nominal model, uncertainty and observation it reads: the full state, or the five signals
         `table_observer.SIGNALS`. What is not uncertain there is taken for known.
     bank
-        The candidates; None: `SpecimenBank.of` with the position weighed.
+        The candidates; None: `SpecimenBank.from_scenario` with a displacement weight.
     memory
         [s] over which evidence is forgotten; infinite: never.
     floor
@@ -106,7 +106,7 @@ class CertaintyEquivalence:
         if not scenario.sensing.full_state:
             check_signals(shown.reading_names)
         self.scenario = scenario
-        self.bank = SpecimenBank.of(scenario, position=position) if bank is None else bank
+        self.bank = SpecimenBank.from_scenario(scenario, position=position) if bank is None else bank
         self.forget = math.exp(-scenario.control_period / memory)  # of evidence, a period [-]
         self.source = ground_filter(scenario.ground).C[0]  # (w,) target per SI unit of x_W
         uncertain = scenario.uncertainty.mass_ratio
@@ -132,7 +132,7 @@ class CertaintyEquivalence:
         self.balance = np.array([force.get(signal, 0.0) for signal in SIGNALS])
         self.observer = None
         if not scenario.sensing.full_state:
-            self.observer = TableObserver.of(scenario, floor * rms)
+            self.observer = TableObserver.from_scenario(scenario, floor * rms)
             # Where the readings have each of `SIGNALS`.
             self.places = [shown.reading_names.index(signal) for signal in SIGNALS]
             # The accelerometer's low-pass, f' = omega (y - f), is undone by a difference of readings.
@@ -305,7 +305,7 @@ def _impulse(a: Actuator, period: float) -> FloatArray:
 def certainty_equivalence(
     scenario: Scenario, displacement_tolerance: float = 0.05
 ) -> CertaintyEquivalence:
-    """Return the adaptive law with the table's place weighed, where the ground has one.
+    """Return the adaptive law, with a displacement weight where the ground has a high-pass.
 
     Raises
     ------
@@ -313,6 +313,6 @@ def certainty_equivalence(
         If nothing is uncertain that it could find out.
     """
     if scenario.uncertainty.mass_ratio is None and scenario.uncertainty.storey_frequency is None:
-        raise ScenarioError("uncertainty", scenario.uncertainty, "has no specimen to find out: use lqg")
+        raise ScenarioError("uncertainty", scenario.uncertainty, "has no uncertain specimen: use lqg")
     position = None if scenario.ground.highpass_frequency is None else displacement_tolerance
     return CertaintyEquivalence(scenario, position=position)

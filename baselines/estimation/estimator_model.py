@@ -62,7 +62,7 @@ class ModelError:
         require_positive(self, "force_time", "flow_time", "bias_time")
 
     @classmethod
-    def of(cls, scenario: Scenario, share: float = 0.02) -> ModelError:
+    def from_scenario(cls, scenario: Scenario, share: float = 0.02) -> ModelError:
         """Return what a scenario's nominal model makes plausible.
 
         The force is the nominal Coulomb (or static) friction, and `share` of the rms force on a table
@@ -137,7 +137,9 @@ class EstimatorModel:
         return int(self.B.shape[1]) - 1
 
     @classmethod
-    def of(cls, scenario: Scenario, error: ModelError, *, accommodate: float = 0.0) -> EstimatorModel:
+    def from_scenario(
+        cls, scenario: Scenario, error: ModelError, *, accommodate: float = 0.0
+    ) -> EstimatorModel:
         """Build the model of a scenario; one that shows the full state measures every state of it.
 
         Parameters
@@ -156,7 +158,7 @@ class EstimatorModel:
         """
         table = _disturbed(scenario, error)
         A, B, Q, ahead = _period(scenario, table)
-        sensors = _Sensors.of(scenario, table)
+        sensors = _Sensors.from_scenario(scenario, table)
         biased = np.flatnonzero(sensors.bias > 0.0)
         x, b = len(A), len(biased)
         n = x + b
@@ -190,12 +192,12 @@ class _Sensors:
     variance: FloatArray  # (s,) of the white noise
 
     @classmethod
-    def of(cls, scenario: Scenario, table: StateSpace) -> _Sensors:
+    def from_scenario(cls, scenario: Scenario, table: StateSpace) -> _Sensors:
         x, layout, plant = table.order, scenario.observation, scenario.plant
         if scenario.sensing.full_state:
             s = x - DISTURBANCES
             return cls(np.eye(s, x), np.zeros(s), np.full(s, ROUNDING**2))
-        measurement = Measurement.of(scenario)
+        measurement = Measurement.from_scenario(scenario)
         scale = plant.state_scale[plant.layout.controlled]
         # The signals of a batch of states, one for each entry, are the rows.
         f = len(layout.low_passes)

@@ -36,7 +36,7 @@ class ReferenceRecursion:
     unseen: FloatArray  # (2 stories, 2 stories) of what a period adds to the error, unit intensity
 
     @classmethod
-    def of(cls, scenario: Scenario) -> ReferenceRecursion:
+    def from_scenario(cls, scenario: Scenario) -> ReferenceRecursion:
         """Derive the recursion from the lifted noise model of a period.
 
         Raises
@@ -64,7 +64,7 @@ class ReferenceRecursion:
         return moved
 
 
-def foresight(scenario: Scenario, shown: Scenario) -> tuple[FloatArray, FloatArray]:
+def predicted_ground(scenario: Scenario, shown: Scenario) -> tuple[FloatArray, FloatArray]:
     """Return the ground's conditional mean when a command acts, and its covariance.
 
     Parameters

@@ -36,7 +36,7 @@ class KalmanFilter:
     innovation: FloatArray  # (s, s) covariance of y - C x under the last gain
 
     @classmethod
-    def of(cls, model: EstimatorModel, warm_up: int = WARM_UP) -> KalmanFilter:
+    def from_model(cls, model: EstimatorModel, warm_up: int = WARM_UP) -> KalmanFilter:
         """Return the filter that starts at rest and is stationary after `warm_up` periods.
 
         Raises

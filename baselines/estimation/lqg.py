@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.estimation.estimator_model import EstimatorModel, ModelError
-from baselines.estimation.ground_estimate import ReferenceRecursion, foresight
+from baselines.estimation.ground_estimate import ReferenceRecursion, predicted_ground
 from baselines.estimation.kalman import KalmanFilter
 from baselines.lqr.sampled import lqr
 from shake_env.controller import Controller, decide
@@ -70,7 +70,7 @@ class EstimatedState:
     law
         A controller designed on ``full_state(scenario)``.
     estimator
-        The filter; None: `KalmanFilter.of` the scenario with the default `ModelError`.
+        The filter; None: that of the scenario (`KalmanFilter.from_model`) with the default `ModelError`.
 
     Raises
     ------
@@ -84,13 +84,15 @@ class EstimatedState:
         self, scenario: Scenario, law: Controller, estimator: KalmanFilter | None = None
     ) -> None:
         if estimator is None:
-            estimator = KalmanFilter.of(EstimatorModel.of(scenario, ModelError.of(scenario)))
+            estimator = KalmanFilter.from_model(
+                EstimatorModel.from_scenario(scenario, ModelError.from_scenario(scenario))
+            )
         self.estimator = estimator
         self.law = law
         self._shown = scenario.observation
         self._layout = scenario.plant.layout
-        self.recursion = ReferenceRecursion.of(scenario)
-        self.foresight = foresight(scenario, full_state(scenario))[0]
+        self.recursion = ReferenceRecursion.from_scenario(scenario)
+        self.predicted_ground = predicted_ground(scenario, full_state(scenario))[0]
 
     def predict(
         self,
@@ -146,7 +148,7 @@ class EstimatedState:
         model, w = self.estimator.model, self._layout.filter_states
         preview = observation[..., self._shown.preview]
         known = np.concatenate([memory.ground, memory.reference, preview], axis=-1)
-        exogenous = known @ self.foresight.T
+        exogenous = known @ self.predicted_ground.T
         under_way = np.concatenate([memory.table, memory.actions[..., 1:]], axis=-1)
         table = under_way @ model.ahead.T
         believed: FloatArray = np.concatenate([exogenous[..., :w], table, exogenous[..., w:]], axis=-1)
@@ -169,14 +171,16 @@ def estimated(
     make
         Designs a full-state law: `baselines.lqr.sampled.lqr`, or any other.
     error
-        What the filter believes of the model; None: `ModelError.of` the scenario.
+        What the filter believes of the model; None: `ModelError.from_scenario`.
     accommodate
         Share of the estimated disturbances that is taken out of what the law is shown: 0 none, 1 all.
         Against friction this helps a law that holds the table's place, and takes from one that does
         not what kept it there.
     """
-    chosen = ModelError.of(scenario) if error is None else error
-    estimator = KalmanFilter.of(EstimatorModel.of(scenario, chosen, accommodate=accommodate))
+    chosen = ModelError.from_scenario(scenario) if error is None else error
+    estimator = KalmanFilter.from_model(
+        EstimatorModel.from_scenario(scenario, chosen, accommodate=accommodate)
+    )
     return EstimatedState(scenario, make(full_state(scenario)), estimator)
 
 
@@ -188,6 +192,7 @@ def lqg(scenario: Scenario, model_error: float = 0.02) -> EstimatedState:
     scenario
         What the controller is shown.
     model_error
-        [-] share of force and flow that the model is taken to miss, beside friction (`ModelError.of`).
+        [-] share of force and flow that the model is taken to miss, beside friction; see
+        `ModelError.from_scenario`.
     """
-    return estimated(scenario, lqr, ModelError.of(scenario, model_error))
+    return estimated(scenario, lqr, ModelError.from_scenario(scenario, model_error))

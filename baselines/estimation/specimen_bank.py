@@ -38,7 +38,7 @@ class SpecimenBank:
     shear: FloatArray  # (F, 2 stories) base shear of a specimen of mass ratio 1 [N]
 
     @classmethod
-    def of(
+    def from_scenario(
         cls, scenario: Scenario, frequencies: int = 17, masses: int = 5, position: float | None = None
     ) -> SpecimenBank:
         """Lay the grid over the scenario's uncertainty, and design.

@@ -1,4 +1,4 @@
-"""Actuator and table observed by themselves: the base shear is an input that somebody else estimates.
+"""Observer of actuator and table alone: the base shear is an input, estimated elsewhere.
 
 A stationary Kalman filter of ``x_A`` alone. The command that acts is known, loop delay included; what
 the specimen does to the table is given, with an error that the filter is told the size of.
@@ -36,7 +36,7 @@ class TableObserver:
     gain: FloatArray  # (4, 5)
 
     @classmethod
-    def of(cls, scenario: Scenario, shear_error: float) -> TableObserver:
+    def from_scenario(cls, scenario: Scenario, shear_error: float) -> TableObserver:
         """Solve for the stationary gain.
 
         Parameters

@@ -29,6 +29,7 @@ from shake_env.simulation.transition import dynamics_of
 # A cost so much above the best before it takes a correction back. Out of the band that is corrected
 # costs rise and fall by a percent or so from test to test while the base shear still converges.
 WORSE = 1.1
+HOLD_FREQUENCY = 0.2  # [Hz] of the displacement feedback underneath a drive
 
 
 class DisplacementHold:
@@ -49,7 +50,7 @@ class DisplacementHold:
         If the scenario shows no displacement.
     """
 
-    def __init__(self, scenario: Scenario, frequency: float) -> None:
+    def __init__(self, scenario: Scenario, frequency: float = HOLD_FREQUENCY) -> None:
         if not 0.0 < frequency < math.inf:
             raise ParameterError("frequency", frequency, "must be above 0 Hz, finite")
         shown, plant = scenario.observation, scenario.plant
@@ -304,7 +305,7 @@ class PeriodModel:
     Z_u: FloatArray  # (2, k)
 
     @classmethod
-    def of(cls, scenario: Scenario, hold: float = 0.0) -> PeriodModel:
+    def from_scenario(cls, scenario: Scenario, hold: float = 0.0) -> PeriodModel:
         """Run the nominal linear update on a basis; `hold` [A/m] is the displacement feedback's gain."""
         nominal = replace(scenario, nonlinearity=Nonlinearity(), uncertainty=Uncertainty())
         dynamics = dynamics_of(nominal)

@@ -48,7 +48,9 @@ class LearningLaw:
     curvature: FloatArray  # (steps,) of the cost in each step's current
 
     @classmethod
-    def of(cls, model: PeriodModel, cost: StageCost, step_weight: float, steps: int) -> LearningLaw:
+    def from_model(
+        cls, model: PeriodModel, cost: StageCost, step_weight: float, steps: int
+    ) -> LearningLaw:
         """Solve the Riccati recursion over `steps`.
 
         Parameters
@@ -110,7 +112,6 @@ def norm_optimal_learning(
     *,
     repeats: int = 6,
     step_weight: float = 0.01,
-    hold_frequency: float = 0.2,
 ) -> Tests:
     """Repeat each earthquake's test and learn its drive file; the best test's drive is kept.
 
@@ -123,9 +124,7 @@ def norm_optimal_learning(
     repeats
         Tests.
     step_weight
-        R, see `LearningLaw.of`: larger learns more slowly, and forgives a wrong model more.
-    hold_frequency
-        [Hz] of the displacement feedback underneath.
+        R, see `LearningLaw.from_model`: larger learns more slowly, and forgives a wrong model more.
 
     Raises
     ------
@@ -136,10 +135,10 @@ def norm_optimal_learning(
         raise ParameterError("repeats", repeats, "must be at least 1")
     if not 0.0 < step_weight < math.inf:
         raise ParameterError("step_weight", step_weight, "must be above 0, finite")
-    hold = DisplacementHold(scenario, hold_frequency)
+    hold = DisplacementHold(scenario)
     still = run_test(scenario, earthquakes, NoControl())
-    model = PeriodModel.of(scenario, hold.gain)
-    law = LearningLaw.of(model, scenario.stage_cost, step_weight, still.target.shape[1])
+    model = PeriodModel.from_scenario(scenario, hold.gain)
+    law = LearningLaw.from_model(model, scenario.stage_cost, step_weight, still.target.shape[1])
     return repeat_tests(
         scenario, earthquakes, still, lambda test: law.correction(tracking_error(test)), repeats, hold
     )

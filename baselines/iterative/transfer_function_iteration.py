@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
 from baselines.iterative.drive_file import (
+    HOLD_FREQUENCY,
     DisplacementHold,
     DriveFile,
     PeriodModel,
@@ -58,7 +59,7 @@ class IterationPlan:
     regularisation: float = 0.1  # eps over a massless table's response [-]
     low_frequency: float = 0.2  # [Hz] ends of the band that is corrected
     high_frequency: float = 25.0  # [Hz]
-    hold_frequency: float = 0.2  # [Hz] of the displacement feedback underneath
+    hold_frequency: float = HOLD_FREQUENCY  # [Hz] of the displacement feedback underneath
     level: float = 0.5  # rms acceleration of the identification test over the target's
     measured: bool = True  # whether the response is measured; False: the nominal model's
 
@@ -110,7 +111,7 @@ class Lines:
     inside: NDArray[np.bool_]  # (lines,)
 
     @classmethod
-    def of(cls, scenario: Scenario, plan: IterationPlan, steps: int) -> Lines:
+    def from_plan(cls, scenario: Scenario, plan: IterationPlan, steps: int) -> Lines:
         """Return the lines for tests of `steps` control periods.
 
         Raises
@@ -132,7 +133,7 @@ class Lines:
 
 def nominal_response(scenario: Scenario, plan: IterationPlan, omega: FloatArray) -> ComplexArray:
     """Return the nominal model's response (lines,), hold and delay within [m/s^2 per A]."""
-    model = PeriodModel.of(scenario, DisplacementHold(scenario, plan.hold_frequency).gain)
+    model = PeriodModel.from_scenario(scenario, DisplacementHold(scenario, plan.hold_frequency).gain)
     return model.frequency_response(omega, scenario.control_period)
 
 
@@ -220,7 +221,7 @@ def transfer_function_iteration(
     # No table needs to move to say what one that stands still misses: the target.
     still = run_test(scenario, earthquakes, NoControl())
     steps = still.target.shape[1]
-    lines = Lines.of(scenario, plan, steps)
+    lines = Lines.from_plan(scenario, plan, steps)
     identification = None
     response: ComplexArray
     if plan.measured:

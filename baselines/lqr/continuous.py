@@ -52,7 +52,7 @@ class SteadyCoordinates:
     E: FloatArray  # (2, n) rows of y_A - y~ [m/s^2] and f_s - f~_s [N]
 
     @classmethod
-    def of(cls, plant: CoupledPlant, position_time: float = POSITION_TIME) -> SteadyCoordinates:
+    def from_plant(cls, plant: CoupledPlant, position_time: float = POSITION_TIME) -> SteadyCoordinates:
         """Return the coordinates for `plant`, with `position_time` [s] as explained at its default.
 
         Raises
@@ -64,7 +64,7 @@ class SteadyCoordinates:
         n, velocity = layout.order, layout.table_displacement + 1
         transform, holding, scale = np.eye(n), np.zeros(n), plant.state_scale.copy()
         transform[layout.specimen, layout.reference] = np.eye(2 * layout.stories)
-        displaced = DesignStates.of(plant).left_out
+        displaced = DesignStates.from_plant(plant).left_out
         steady = bool(np.any(displaced))  # a stiffness beside leakage ends the steady motion
         if steady:
             transform[:, layout.table_displacement] = displaced
@@ -183,8 +183,10 @@ def continuous_lqr(
     _Weights(q_1=q_1, q_2=q_2, r=r, added_weight=added_weight)
     layout = plant.layout
     # The slow pole grows as sqrt(lambda), and with it the largest unit of x_a that separates the two.
-    xi = SteadyCoordinates.of(plant, min(POSITION_TIME, 1.0 / np.sqrt(max(added_weight, LEAST_WEIGHT))))
-    states = DesignStates.of(plant, whole=added_weight >= LEAST_WEIGHT).kept
+    xi = SteadyCoordinates.from_plant(
+        plant, min(POSITION_TIME, 1.0 / np.sqrt(max(added_weight, LEAST_WEIGHT)))
+    )
+    states = DesignStates.from_plant(plant, whole=added_weight >= LEAST_WEIGHT).indices
     controlled = np.intersect1d(states, np.arange(layout.order)[layout.controlled])
     given = np.setdiff1d(states, controlled)
     W = np.array([[q_1], [q_2]]) * xi.E

@@ -69,13 +69,13 @@ def displaced_table(plant: CoupledPlant) -> tuple[float, FloatArray]:
 class DesignStates:
     """The m of n states that a design works on, in SI."""
 
-    kept: IntArray  # (m,) their places in the full state
+    indices: IntArray  # (m,) their places in the full state
     left_out: FloatArray  # (n,) the state of 1 m along the mode that is left out; 0: none is
     position: int  # place of x_a, by which the mode is measured
 
     @classmethod
-    def of(cls, plant: CoupledPlant, *, whole: bool = False) -> DesignStates:
-        """Return the states less a displaced table's mode; `whole`: all of them, where it is weighed."""
+    def from_plant(cls, plant: CoupledPlant, *, whole: bool = False) -> DesignStates:
+        """Return the states less a displaced table's mode; `whole`: all, with a displacement weight."""
         position, n = plant.layout.table_displacement, plant.layout.order
         if not whole:
             rate, state = displaced_table(plant)
@@ -84,17 +84,17 @@ class DesignStates:
         return cls(np.arange(n), np.zeros(n), position)
 
     @classmethod
-    def of_law(cls, plant: CoupledPlant, gain: FloatArray) -> DesignStates:
+    def from_law(cls, plant: CoupledPlant, gain: FloatArray) -> DesignStates:
         """Return the states of a closed loop: less the mode, where ``u = -gain @ x`` ignores it."""
-        reduced = cls.of(plant)
+        reduced = cls.from_plant(plant)
         parts = gain * reduced.left_out
         used = abs(float(np.sum(parts))) > 1e-12 * float(np.sum(np.abs(parts)))
-        return cls.of(plant, whole=True) if used else reduced
+        return cls.from_plant(plant, whole=True) if used else reduced
 
     def rows(self, of_states: FloatArray) -> FloatArray:
         """Return (m, k) of the design's states from (n, k) of all: rates, inputs, noise."""
-        along = np.outer(self.left_out[self.kept], of_states[self.position])
-        part: FloatArray = of_states[self.kept] - along
+        along = np.outer(self.left_out[self.indices], of_states[self.position])
+        part: FloatArray = of_states[self.indices] - along
         return part
 
     def completed(self, law: FloatArray, scale: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""LQR with friction and valve feed-forward: what a good engineer adds for a table that is not linear.
+"""LQR with friction and valve feed-forward, for a nonlinear table.
 
 Friction and what an orifice withholds are disturbances that the controller knows in advance as well as
 it knows the table's velocity, spool and pressure. The nominal closed loop predicts these for the coming
@@ -80,9 +80,11 @@ class DisturbancePreview:
     force_row: FloatArray  # (T,) current per force on the table [A/N]
 
     @classmethod
-    def of(cls, scenario: Scenario, periods: int, position: float | None = None) -> DisturbancePreview:
+    def from_scenario(
+        cls, scenario: Scenario, periods: int, position: float | None = None
+    ) -> DisturbancePreview:
         """Predict with the closed loop of LQR; `position` as for `preview_lqr`."""
-        problem = TrackingProblem.of(scenario.discrete, scenario.stage_cost, position)
+        problem = TrackingProblem.from_plant(scenario.discrete, scenario.stage_cost, position)
         rows, spread = _predicted(scenario, problem, periods)
         flow, force = (_reply(scenario, problem, periods, 1 + c) for c in (FLOW, FORCE))
         return cls(rows, spread, flow, force)
@@ -92,9 +94,9 @@ def _predicted(scenario: Scenario, q: TrackingProblem, periods: int) -> tuple[Fl
     """Return rows (3, T, n) and standard deviations (T,)."""
     plant, lifted, k = scenario.plant, scenario.discrete, scenario.substeps
     n, first = plant.layout.order, plant.layout.actuator.start
-    # The displaced table's pressure is part of what the orifice sees, whether or not the law minds it.
+    # The displaced table's pressure is part of what the orifice sees, whether or not the law weights it.
     moving = np.intersect1d(observable_states(plant), np.arange(n)[plant.layout.controlled])
-    order = np.concatenate([np.union1d(q.kept, moving), q.exogenous])
+    order = np.concatenate([np.union1d(q.indices, moving), q.exogenous])
     scale = plant.state_scale[order]
     A = lifted.model.A[np.ix_(order, order)] * scale / scale[:, None]
     B = lifted.model.B[order, 0] * REFERENCE_CURRENT / scale
@@ -150,8 +152,8 @@ def _reply(scenario: Scenario, q: TrackingProblem, periods: int, column: int) ->
         outputs[j][:, j + 1] += step.D[:, 0]
     moved = np.zeros((layout.order, k + 1))
     moved[layout.controlled] = state
-    inside = np.isin(q.states.kept, q.kept)
-    B = q.states.rows(moved)[inside] / plant.state_scale[q.kept][:, None]
+    inside = np.isin(q.states.indices, q.indices)
+    B = q.states.rows(moved)[inside] / plant.state_scale[q.indices][:, None]
     z_x, z_u, z_f = (weighted_outputs(cost, part) for part in (q.Z_x, q.Z_u, outputs))
     row = np.zeros(periods * k + 1)
     now = q.G.T @ q.P @ B + z_u.T @ z_f
@@ -192,7 +194,7 @@ class FeedforwardLQR:
         self.valve = parts.valve if c.orifice == "preview" and parts.valve.flow_active else None
         if self.friction is not None or self.valve is not None:
             periods = max(1, math.ceil(c.horizon / scenario.control_period - 1e-9))
-            self.preview = DisturbancePreview.of(scenario, periods, position)
+            self.preview = DisturbancePreview.from_scenario(scenario, periods, position)
         pressure = scenario.plant.state_scale[layout.actuator][LOAD_PRESSURE]
         self._pressure = layout.actuator.start + LOAD_PRESSURE
         # Load pressure per unit of its entry, over the supply's [-]; 0: not compensated.

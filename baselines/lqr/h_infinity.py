@@ -66,7 +66,7 @@ class GeneralizedPlant:
     D: tuple[tuple[FloatArray, FloatArray, FloatArray], ...]  # both rows of outputs on w, d, u
 
     @classmethod
-    def of(cls, scenario: Scenario, position: float | None = None) -> GeneralizedPlant:
+    def from_scenario(cls, scenario: Scenario, position: float | None = None) -> GeneralizedPlant:
         """Add the uncertain force to the lifted problem of a scenario; see `robust_feedback`."""
         discrete, cost = scenario.discrete, scenario.stage_cost
         p, plant, k = _problem(scenario, position), discrete.plant, discrete.substeps
@@ -89,9 +89,9 @@ class GeneralizedPlant:
         B_w = np.zeros((n, k))
         B_w[layout.controlled] = state * unit
         # f_s at each step's start: the present state's, then the lifted model's after each step but one.
-        now = plant.coupled.C[1, p.kept] * p.scale
+        now = plant.coupled.C[1, p.indices] * p.scale
         lifted = discrete.lifted.outputs[:-1, 1]
-        z_x = np.vstack([now, lifted[:, p.kept] * p.scale])
+        z_x = np.vstack([now, lifted[:, p.indices] * p.scale])
         z_u = np.append(0.0, lifted[:, n] * REFERENCE_CURRENT)[:, None]
         z_d = np.vstack([np.zeros(p.N.shape[1]), lifted[:, n + 1 :]])
         weights = np.sqrt(np.array([cost.acceleration, cost.force]) / k)
@@ -147,9 +147,9 @@ class GeneralizedPlant:
 
 
 def _problem(scenario: Scenario, position: float | None) -> ScaledProblem:
-    """Return the lifted problem, of the whole state where the table's position is weighed."""
-    states = DesignStates.of(scenario.plant, whole=position is not None)
-    return ScaledProblem.of(scenario.discrete, states)
+    """Return the lifted problem, of the whole state where there is a displacement weight."""
+    states = DesignStates.from_plant(scenario.plant, whole=position is not None)
+    return ScaledProblem.from_plant(scenario.discrete, states)
 
 
 def robust_feedback(
@@ -180,7 +180,7 @@ def robust_feedback(
     rho = mass_uncertainty
     if not 0.0 < rho < 1.0:
         raise ParameterError("mass_uncertainty", rho, "must lie between 0 and 1")
-    plant = GeneralizedPlant.of(scenario, position)
+    plant = GeneralizedPlant.from_scenario(scenario, position)
 
     def bound(log_d: float) -> float:
         design = plant.law(rho, float(np.exp(log_d)))

@@ -84,7 +84,7 @@ def lqr_integral(
     w = DisplacementWeights() if weights is None else weights
     plant, n, period = discrete.plant, discrete.layout.order, discrete.substeps * discrete.dt
     scale = plant.state_scale
-    p = ScaledProblem.of(discrete, DesignStates.of(plant, whole=True))
+    p = ScaledProblem.from_plant(discrete, DesignStates.from_plant(plant, whole=True))
     e = displacement_error(plant) * scale / w.displacement  # in units of d; xi in units of d s
     F = np.block([[p.F, np.zeros((n, 1))], [period * e, np.ones((1, 1))]])
     G, N = np.vstack([p.G, [[0.0]]]), np.pad(p.N, ((0, 1), (0, 0)))
@@ -99,7 +99,7 @@ def lqr_integral(
     variance = np.einsum("koi,ij,koj->o", Z, covariance, Z) + np.sum(p.Z_d**2, axis=(0, 2))
     acceleration, shear = variance / discrete.substeps
     current = float(K[0] @ covariance @ K[0]) * REFERENCE_CURRENT**2
-    performance = StationaryPerformance.of(plant, cost, acceleration, shear, current)
+    performance = StationaryPerformance.from_mean_squares(plant, cost, acceleration, shear, current)
     error, integral = float(e @ covariance[:n, :n] @ e), float(covariance[n, n])
     whole = performance.cost + w.position * error + w.integral * integral
     if not abs(whole - analytic) <= 1e-6 * analytic:

@@ -85,7 +85,9 @@ class Prediction:
     response: FloatArray  # (3 H, H); c in units of REFERENCE_CURRENT
 
     @classmethod
-    def of(cls, scenario: Scenario, problem: TrackingProblem, limits: FloatArray, H: int) -> Prediction:
+    def from_scenario(
+        cls, scenario: Scenario, problem: TrackingProblem, limits: FloatArray, H: int
+    ) -> Prediction:
         """Run the preview law's closed loop on a basis; `limits` (3,) [A, m/s, m]."""
         plant, layout, shown = scenario.plant, scenario.plant.layout, scenario.observation
         lifted, n = scenario.discrete.lifted, layout.order
@@ -113,7 +115,7 @@ class Prediction:
 def feed_forward(scenario: Scenario, problem: TrackingProblem, periods: int) -> FloatArray:
     """Return what an observation says to MPC of v now and in the coming periods, (periods, size)."""
     shown = scenario.observation
-    forecast = Forecast.of(problem, shown.preview_samples, shown.preview_spacing)
+    forecast = Forecast.from_problem(problem, shown.preview_samples, shown.preview_spacing)
     reach, draws = forecast.periods, problem.N.shape[1]
     future = problem.future_rows(reach)
     on_state, on_draws = np.empty((periods, len(problem.A))), np.zeros((periods, reach, draws))
@@ -157,9 +159,9 @@ class PredictiveControl:
             own if asked is None else asked
             for own, asked in zip((scenario.current_limit, *soft), given, strict=True)
         ]
-        problem = TrackingProblem.of(scenario.discrete, scenario.stage_cost, s.position)
+        problem = TrackingProblem.from_plant(scenario.discrete, scenario.stage_cost, s.position)
         self._H = H = max(1, round(s.horizon / scenario.control_period))
-        self.prediction = Prediction.of(scenario, problem, np.array(limits, dtype=float), H)
+        self.prediction = Prediction.from_scenario(scenario, problem, np.array(limits, dtype=float), H)
         self._action = limits[0] / scenario.current_limit
         self._solver = self._setup(problem.R_u)
         self._times: list[float] = []

@@ -66,7 +66,7 @@ class ModelSet:
     constant: FloatArray  # (models,) cost that no gain changes
 
     @classmethod
-    def of(
+    def from_scenarios(
         cls, nominal: Scenario, models: Sequence[Scenario], position: float | None = None
     ) -> ModelSet:
         """Stack `models`, which share the nominal's states; `position` as for `multi_model_lqr`.
@@ -85,10 +85,10 @@ class ModelSet:
         for model in models:
             if (model.plant.layout, model.control_period) != (layout, period):
                 raise ParameterError("model", model, "must have the nominal's states and period")
-            p = ScaledProblem.of(
-                model.discrete, DesignStates.of(model.plant, whole=not np.any(states.left_out))
+            p = ScaledProblem.from_plant(
+                model.discrete, DesignStates.from_plant(model.plant, whole=not np.any(states.left_out))
             )
-            ratio = p.scale / nominal.plant.state_scale[p.kept]  # own to nominal units
+            ratio = p.scale / nominal.plant.state_scale[p.indices]  # own to nominal units
             Q, R, S = p.stage(model.stage_cost)
             fixed = p.unreached(model.stage_cost)
             if position is not None:
@@ -111,9 +111,9 @@ class ModelSet:
     def states(nominal: Scenario, models: Sequence[Scenario], position: float | None) -> DesignStates:
         """Return what the design works on: the whole state where one of the models needs it."""
         whole = position is not None or not all(
-            np.any(DesignStates.of(each.plant).left_out) for each in (nominal, *models)
+            np.any(DesignStates.from_plant(each.plant).left_out) for each in (nominal, *models)
         )
-        return DesignStates.of(nominal.plant, whole=whole)
+        return DesignStates.from_plant(nominal.plant, whole=whole)
 
     def radii(self, K: FloatArray) -> FloatArray:
         """Return each closed loop's spectral radius, (models,), under the gain K (1, m)."""
@@ -164,9 +164,9 @@ def multi_model_lqr(
     """
     if aim not in ("mean", "worst"):
         raise ParameterError("aim", aim, "must be 'mean' or 'worst'")
-    problem = ModelSet.of(nominal, models, position)
+    problem = ModelSet.from_scenarios(nominal, models, position)
     states = ModelSet.states(nominal, models, position)
-    retained = states.kept
+    retained = states.indices
     scale = nominal.plant.state_scale[retained]
     start = preview_lqr(nominal.discrete, nominal.stage_cost, 0.0, position=position).gain[retained]
     K = (start * scale / REFERENCE_CURRENT)[None, :]

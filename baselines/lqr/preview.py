@@ -41,7 +41,7 @@ class Forecast:
     periods: int
 
     @classmethod
-    def of(cls, problem: TrackingProblem, steps: int, stride: int) -> Forecast:
+    def from_problem(cls, problem: TrackingProblem, steps: int, stride: int) -> Forecast:
         """Relate `steps` samples, at `stride`, 2 `stride` ... physics steps ahead, to the noise."""
         k, draws = problem.discrete.substeps, problem.N.shape[1]
         ahead = stride * np.arange(1, steps + 1) - 1
@@ -120,8 +120,8 @@ def preview_lqr(
     """
     shown = Sensing(preview=preview, preview_spacing=spacing)
     samples, stride = shown.preview_steps(discrete.dt)
-    problem = TrackingProblem.of(discrete, cost, position)
-    forecast = Forecast.of(problem, samples, stride)
+    problem = TrackingProblem.from_plant(discrete, cost, position)
+    forecast = Forecast.from_problem(problem, samples, stride)
     rows = problem.future_rows(forecast.periods)
     b = forecast.expectation(rows.reshape(1, -1))
     # Row j: what the law of j periods earlier knows of v through a period's draws.
@@ -144,7 +144,7 @@ def infinite_preview(discrete: DiscretePlant, cost: StageCost) -> StationaryPerf
     NumericalError
         If the cost differs from that found by completing the square.
     """
-    problem = TrackingProblem.of(discrete, cost)
+    problem = TrackingProblem.from_plant(discrete, cost)
     floor = _floor(problem)
     performance = _performance(problem, problem.L, None)
     _agree(problem, performance.cost, floor)
@@ -182,18 +182,18 @@ def _floor(problem: TrackingProblem) -> float:
 
 
 def _performance(
-    problem: TrackingProblem, on_state: FloatArray, seen: FloatArray | None
+    problem: TrackingProblem, on_state: FloatArray, on_draws: FloatArray | None
 ) -> StationaryPerformance:
-    """Return the stationary performance of ``u = -K x_c + on_state x_e + sum_j seen_j d_i+j``.
+    """Return the stationary performance of ``u = -K x_c + on_state x_e + sum_j on_draws_j d_i+j``.
 
-    By the response to one draw, summed over time: before its period through `seen` (None: all of v's
+    By the response to one draw, summed over time: before its period through `on_draws` (None: all of v's
     future), in it, and after it, where state feedback is all that is left.
     """
     q, m = problem, len(problem.F)
     draws = q.N.shape[1]
     errors = np.concatenate([q.Z_x, -q.C], axis=2)  # over [x_c, x_e]
     energy = np.zeros(3)  # acceleration, force, current; each summed over physics steps
-    if seen is None:
+    if on_draws is None:
         # With the whole future x_c at j periods before the draw is Y closed'^j Gamma.
         Y = discrete_lyapunov(q.closed, q.G @ q.G.T, q.closed.T) / q.R_u
         current = q.G.T / q.R_u - q.K @ Y @ q.closed.T
@@ -203,8 +203,8 @@ def _performance(
         x_c, now = Y @ q.Gamma, q.M_0
     else:
         x_c, now = np.zeros((m, draws)), np.zeros((1, draws))
-        for j in range(len(seen) - 1, -1, -1):
-            now = seen[j : j + 1]
+        for j in range(len(on_draws) - 1, -1, -1):
+            now = on_draws[j : j + 1]
             if j == 0:
                 break
             u = now - q.K @ x_c
@@ -221,7 +221,9 @@ def _performance(
     energy += _energies(errors + q.Z_u @ row, row, spread)
     acceleration, shear = energy[:2] / q.discrete.substeps
     current_square = float(energy[2]) * REFERENCE_CURRENT**2
-    return StationaryPerformance.of(q.discrete.plant, q.cost, acceleration, shear, current_square)
+    return StationaryPerformance.from_mean_squares(
+        q.discrete.plant, q.cost, acceleration, shear, current_square
+    )
 
 
 def _energies(errors: FloatArray, current: FloatArray, spread: FloatArray) -> FloatArray:

@@ -44,7 +44,7 @@ class StationaryPerformance:
     current_rms: float  # [A]
 
     @classmethod
-    def of(
+    def from_mean_squares(
         cls,
         plant: CoupledPlant,
         cost: StageCost,
@@ -140,12 +140,12 @@ class ScaledProblem:
     scale: FloatArray  # (m,)
 
     @classmethod
-    def of(cls, discrete: DiscretePlant, states: DesignStates | None = None) -> ScaledProblem:
+    def from_plant(cls, discrete: DiscretePlant, states: DesignStates | None = None) -> ScaledProblem:
         """Scale the lifted plant; `states` None leaves out what stands still and costs nothing."""
         plant, lifted = discrete.plant, discrete.lifted
         n = plant.layout.order
-        states = DesignStates.of(plant) if states is None else states
-        retained, scale = states.kept, plant.state_scale[states.kept]
+        states = DesignStates.from_plant(plant) if states is None else states
+        retained, scale = states.indices, plant.state_scale[states.indices]
         state = states.rows(lifted.state)
         errors = lifted.outputs[:, [0, 1]] - lifted.outputs[:, [2, 3]]
         return cls(
@@ -160,14 +160,14 @@ class ScaledProblem:
         )
 
     @property
-    def kept(self) -> IntArray:
+    def indices(self) -> IntArray:
         """Places (m,) of the design's states in the full state."""
-        return self.states.kept
+        return self.states.indices
 
     def gain(self, K: FloatArray) -> FloatArray:
         """Return the law's gain (n,) [A per SI unit of each state] from K (1, m)."""
         gain = np.zeros(len(self.states.left_out))
-        gain[self.kept] = K[0] * REFERENCE_CURRENT / self.scale
+        gain[self.indices] = K[0] * REFERENCE_CURRENT / self.scale
         return self.states.completed(gain, np.ones(len(gain)))
 
     def stage(self, cost: StageCost) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -192,11 +192,11 @@ class ScaledProblem:
         """
         if not (is_number(position) and 0.0 < position < math.inf):
             raise ParameterError(
-                "position", position, "must be above 0 m, or None: the place is not minded"
+                "position", position, "must be above 0 m, or None: no displacement weight"
             )
         if plant.layout.filter_states != 4:
             raise ScenarioError(
-                "highpass_frequency", plant.ground.highpass_frequency, "a weighed position needs one"
+                "highpass_frequency", plant.ground.highpass_frequency, "a displacement weight needs one"
             )
         row = np.zeros(len(self.scale))
         row[plant.layout.table_displacement], row[GROUND_DISPLACEMENT] = 1.0, -1.0
@@ -241,7 +241,7 @@ def sampled_lqr(discrete: DiscretePlant, cost: StageCost) -> LQRDesign:
     NumericalError
         If the Riccati solution fails its residual, stability or cost check.
     """
-    p = ScaledProblem.of(discrete)
+    p = ScaledProblem.from_plant(discrete)
     Q, R, S = p.stage(cost)
     P, K = riccati(p.F, p.G, Q, R, S)
     gain = p.gain(K)
@@ -263,7 +263,7 @@ def stationary_performance(
     ----------
     gain
         (n,) [A per SI unit of each state]. A table that stands displaced is left out if the law ignores
-        it (`DesignStates.of_law`).
+        it (`DesignStates.from_law`).
 
     Raises
     ------
@@ -275,8 +275,8 @@ def stationary_performance(
     if not np.isfinite(gain).all():
         raise ParameterError("gain", gain, "must be finite")
     plant = discrete.plant
-    p = ScaledProblem.of(discrete, DesignStates.of_law(plant, gain))
-    K = (gain[p.kept] * p.scale / REFERENCE_CURRENT)[None, :]
+    p = ScaledProblem.from_plant(discrete, DesignStates.from_law(plant, gain))
+    K = (gain[p.indices] * p.scale / REFERENCE_CURRENT)[None, :]
     closed = p.F - p.G @ K
     radius = float(np.max(np.abs(np.linalg.eigvals(closed))))
     if not radius < 1.0:
@@ -286,4 +286,4 @@ def stationary_performance(
     variance = np.einsum("koi,ij,koj->o", Z, covariance, Z) + np.sum(p.Z_d**2, axis=(0, 2))
     acceleration, shear = variance / discrete.substeps
     current = float(K[0] @ covariance @ K[0]) * REFERENCE_CURRENT**2
-    return StationaryPerformance.of(plant, cost, acceleration, shear, current)
+    return StationaryPerformance.from_mean_squares(plant, cost, acceleration, shear, current)

@@ -39,7 +39,7 @@ class TrackingProblem:
     discrete: DiscretePlant
     cost: StageCost
     states: DesignStates  # of x_c and x_e together
-    kept: IntArray  # (m,) where x_c lies in the full state
+    indices: IntArray  # (m,) where x_c lies in the full state
     exogenous: IntArray  # (e,) where x_e lies in the full state
     F: FloatArray  # (m, m)
     G: FloatArray  # (m, 1)
@@ -58,7 +58,7 @@ class TrackingProblem:
     Gamma: FloatArray  # (m, draws) M_j = G' closed'^(j-1) Gamma / R_u for j >= 1
 
     @classmethod
-    def of(
+    def from_plant(
         cls, discrete: DiscretePlant, cost: StageCost, position: float | None = None
     ) -> TrackingProblem:
         """Split the lifted plant and solve what does not depend on the information.
@@ -82,8 +82,10 @@ class TrackingProblem:
         plant, layout = discrete.plant, discrete.layout
         if plant.equations.specimen_feels_target:
             raise ScenarioError("equations", plant.equations, "preview needs the corrected equations")
-        p = ScaledProblem.of(discrete, DesignStates.of(plant, whole=position is not None))
-        inside = (p.kept >= layout.controlled.start) & (p.kept < layout.controlled.stop)
+        p = ScaledProblem.from_plant(
+            discrete, DesignStates.from_plant(plant, whole=position is not None)
+        )
+        inside = (p.indices >= layout.controlled.start) & (p.indices < layout.controlled.stop)
         c, e = np.flatnonzero(inside), np.flatnonzero(~inside)
         F, G, A, N = p.F[np.ix_(c, c)], p.G[c], p.F[np.ix_(e, e)], p.N[e]
         radius = float(np.max(np.abs(np.linalg.eigvals(A))))
@@ -104,7 +106,7 @@ class TrackingProblem:
         Psi = (z_x - z_u @ K).T
         H = discrete_lyapunov(closed.T, Psi @ r_e, A)  # E[h_i | x_e,i] = H x_e,i
         return cls(
-            discrete, cost, p.states, p.kept[c], p.kept[e],
+            discrete, cost, p.states, p.indices[c], p.indices[e],
             F, G, Z_x, Z_u, A, N, C, D, P, K, R_u, closed,
             L=(z_u.T @ r_e + G.T @ H @ A) / R_u,
             M_0=(z_u.T @ r_d + G.T @ H @ N) / R_u,
@@ -120,7 +122,7 @@ class TrackingProblem:
             (1, e).
         """
         row = np.zeros(self.discrete.layout.order)
-        row[self.kept], row[self.exogenous] = -self.K[0], on_exogenous[0]
+        row[self.indices], row[self.exogenous] = -self.K[0], on_exogenous[0]
         return self.states.completed(row, self.discrete.plant.state_scale)
 
     def future_rows(self, periods: int) -> FloatArray:

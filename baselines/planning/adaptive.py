@@ -49,7 +49,7 @@ class UncertainParameters:
     high: FloatArray  # (p,)
 
     @classmethod
-    def of(cls, scenario: Scenario) -> UncertainParameters:
+    def from_scenario(cls, scenario: Scenario) -> UncertainParameters:
         """Return the parameters of a scenario's uncertainty.
 
         Raises
@@ -112,7 +112,7 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
     """
 
     def __init__(self, scenario: Scenario, settings: NMPCSettings | None = None) -> None:
-        self.parameters = known = UncertainParameters.of(scenario)
+        self.parameters = known = UncertainParameters.from_scenario(scenario)
         if scenario.nonlinearity.yielding.active:
             raise ScenarioError(
                 "nonlinearity.yielding", "on", "a specimen that yields is not identified"
@@ -123,7 +123,7 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
         self._own = scenario
         self._error = model_error(middle, self.settings.model_error_scale)
         if self.filter is None:
-            self.filter = ExtendedKalmanFilter.of(middle, self._error)
+            self.filter = ExtendedKalmanFilter.from_scenario(middle, self._error)
             self.model = self.filter.model
         p = len(known.names)
         self.filter = self.filter.with_parameters(
@@ -144,8 +144,10 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
         """Return the design for these parameters, in units of the nominal observation and state."""
         plant = self.parameters.plant(parameters)
         own = PlanningModel.of(plant, self._error)
-        ahead = HorizonForecast.of(plant, own, self.horizon, self.settings.displacement_tolerance)
-        recursion = ReferenceRecursion.of(plant)
+        ahead = HorizonForecast.from_scenario(
+            plant, own, self.horizon, self.settings.displacement_tolerance
+        )
+        recursion = ReferenceRecursion.from_scenario(plant)
         shown, layout = self._own.plant.state_scale, plant.plant.layout
         sizes = shown / plant.plant.state_scale
         e = np.r_[layout.ground, layout.reference]

@@ -31,7 +31,7 @@ def model_error(scenario: Scenario, model_error_scale: float = 1.0) -> ModelErro
 
     `model_error_scale` multiplies both disturbances. Of the friction, `FRICTION_SHARE` stays unknown.
     """
-    whole = ModelError.of(scenario)
+    whole = ModelError.from_scenario(scenario)
     friction = scenario.nonlinearity.friction
     force = max(friction.coulomb, friction.static or 0.0)
     other = np.sqrt(max(whole.force**2 - force**2, 0.0))
@@ -72,7 +72,7 @@ class ExtendedKalmanFilter:
     parameters: tuple[FloatArray, FloatArray, FloatArray]  # see filter_kernel.ParameterArrays
 
     @classmethod
-    def of(cls, scenario: Scenario, error: ModelError | None = None) -> ExtendedKalmanFilter:
+    def from_scenario(cls, scenario: Scenario, error: ModelError | None = None) -> ExtendedKalmanFilter:
         """Return the filter of a scenario; one that shows the full state reads every state of it.
 
         Parameters
@@ -83,7 +83,7 @@ class ExtendedKalmanFilter:
             What the model leaves out; None: `model_error`.
         """
         error = model_error(scenario) if error is None else error
-        model, linear = PlanningModel.of(scenario, error), EstimatorModel.of(scenario, error)
+        model, linear = PlanningModel.of(scenario, error), EstimatorModel.from_scenario(scenario, error)
         shown, f = 4 + 2 * scenario.specimen.stories, len(scenario.observation.low_passes)
         sensors = _sensors(scenario, model)
         m, first = model.order, first_low_pass(scenario.plant, scenario.parts)
@@ -171,7 +171,7 @@ def _sensors(scenario: Scenario, model: PlanningModel) -> tuple[Any, ...]:
         rounding = np.full(s, ROUNDING**2)
         return np.eye(s, n), np.zeros((s, 2)), none, rounding
     layout = scenario.observation
-    measurement = Measurement.of(scenario)
+    measurement = Measurement.from_scenario(scenario)
     s, scale = layout.readings_count, measurement.scale
     rows, outputs = np.zeros((s, n)), np.zeros((s, 2))
     floors = floor_rows(scenario.plant, scenario.nonlinearity.yielding)

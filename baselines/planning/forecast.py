@@ -40,7 +40,7 @@ class HorizonForecast:
     periods: int  # H
 
     @classmethod
-    def of(
+    def from_scenario(
         cls, scenario: Scenario, model: PlanningModel, periods: int, position: float | None
     ) -> HorizonForecast:
         """Return the maps of a scenario's observation.
@@ -55,9 +55,9 @@ class HorizonForecast:
             [m] as for `preview_lqr`.
         """
         cost, discrete = scenario.stage_cost, scenario.discrete
-        problem = TrackingProblem.of(discrete, cost, position)
+        problem = TrackingProblem.from_plant(discrete, cost, position)
         shown, e = scenario.observation, len(problem.A)
-        known = Forecast.of(problem, shown.preview_samples, shown.preview_spacing)
+        known = Forecast.from_problem(problem, shown.preview_samples, shown.preview_spacing)
         samples, draws = shown.preview_samples, problem.N.shape[1]
         width = known.periods * draws
         on_y = known.expectation(np.eye(width)) if samples else np.zeros((0, 0))

@@ -115,12 +115,14 @@ class NonlinearPredictiveControl:
         self.filter: ExtendedKalmanFilter | None = None
         self.model = plain
         if not scenario.sensing.full_state or plain.order > shown:
-            self.filter = ExtendedKalmanFilter.of(
+            self.filter = ExtendedKalmanFilter.from_scenario(
                 scenario, model_error(scenario, chosen.model_error_scale)
             )
             self.model = self.filter.model
-        self.forecast = HorizonForecast.of(scenario, self.model, H, chosen.displacement_tolerance)
-        recursion, cost = ReferenceRecursion.of(scenario), scenario.stage_cost
+        self.forecast = HorizonForecast.from_scenario(
+            scenario, self.model, H, chosen.displacement_tolerance
+        )
+        recursion, cost = ReferenceRecursion.from_scenario(scenario), scenario.stage_cost
         self._common = Design(
             signals=self.forecast.signals,
             place=self.forecast.place,
@@ -133,7 +135,7 @@ class NonlinearPredictiveControl:
         )
         self._yielding = None
         if scenario.nonlinearity.yielding.active:
-            maps = YieldingReference.of(
+            maps = YieldingReference.from_plant(
                 scenario.plant, scenario.nonlinearity.yielding, scenario.physics_step
             )
             arrays = (maps.A, maps.ground, maps.ground_next, maps.level, maps.slope, maps.C)

@@ -98,9 +98,9 @@ def plan_records(
     The target is the earthquake's; what a specimen that differs from the nominal one would have done
     is not known: the reference shear is that of the nominal specimen.
 
-    The objective minds no place, and its feedback would let the table walk away from the plan. The
-    feedback therefore weighs a deviation of `displacement_tolerance` [m] as an uncontrolled table; None:
-    not at all. The plan itself does not depend on it.
+    The objective has no displacement weight, so that its feedback would let the table drift away from
+    the plan. The feedback has one: a deviation of `displacement_tolerance` [m] costs as much as an
+    uncontrolled table; None: no weight. The plan itself does not depend on it.
     """
     own = nominal_scenario(scenario)
     plans = []
@@ -147,7 +147,7 @@ def _feedback(optimum: OptimalEpisode, tolerance: float | None) -> FloatArray:
 
 def nominal_reference(scenario: Scenario, target: FloatArray) -> FloatArray:
     """Return f~_s (T, k) [N] of the nominal specimen under a target (T, k) that begins at rest."""
-    reference = YieldingReference.of(
+    reference = YieldingReference.from_plant(
         scenario.plant, scenario.nonlinearity.yielding, scenario.physics_step
     )
     start = np.zeros((1, 3 * scenario.specimen.stories))
@@ -186,7 +186,7 @@ class PlannedControl:
             if plan.digest != digest:
                 raise ParameterError("plan", plan.name, "was made for another table: plan it anew")
         self._scenario, self._shown = scenario, scenario.observation
-        self.filter = ExtendedKalmanFilter.of(
+        self.filter = ExtendedKalmanFilter.from_scenario(
             nominal_scenario(scenario), model_error(scenario, model_error_scale)
         )
         model = self.filter.model

@@ -1,4 +1,4 @@
-"""A disturbance observer around any controller: the classical rival of learned friction compensation.
+"""A disturbance observer around any controller: the classical form of friction compensation.
 
 Ohnishi, Shibata and Murakami (IEEE/ASME Trans. Mechatronics 1, 1996): what the table does that a simple
 nominal model does not explain is called a disturbance at its input, low-passed, and taken off the next
@@ -55,7 +55,7 @@ def dead_periods(scenario: Scenario) -> float:
 
 def model_mismatch(scenario: Scenario, frequency: FloatArray) -> FloatArray:
     """Return ``|1 - G / G_n|`` of the disturbance observer's model at `frequency` (f,) [Hz]."""
-    table, s = NominalTable.of(scenario), 2j * math.pi * frequency
+    table, s = NominalTable.from_scenario(scenario), 2j * math.pi * frequency
     lag = scenario.actuator.valve_time_constant
     # The samples of the response are those at the period's ends; the command's are at their starts.
     simple = scenario.actuator.velocity_gain / (1.0 + lag * s)

@@ -131,7 +131,7 @@ def inverse_law(scenario: Scenario, design: InverseDesign) -> InverseLaw:
     NumericalError
         If the feedback's loop is not stable.
     """
-    table, period = NominalTable.of(scenario), scenario.control_period
+    table, period = NominalTable.from_scenario(scenario), scenario.control_period
     preview, samples = previewed_periods(scenario, design.preview)
     frequency, spacing = folded_frequencies(scenario.control_rate)
     omega = 2.0 * math.pi * frequency

@@ -1,4 +1,4 @@
-"""Minimal control synthesis: gains that find themselves, around a fixed loop, with and without bounds.
+"""Minimal control synthesis: adaptive gains around a fixed loop, with and without bounds.
 
 Stoten and Gomez (Phil. Trans. R. Soc. A 359, 2001) put an adaptive outer loop around the controller that
 a shaking table has: ``u = u_inner + K x + K_r r``, with gains that start at zero and follow ``K = alpha

@@ -49,7 +49,7 @@ class NominalTable:
     period: float  # [s]
 
     @classmethod
-    def of(cls, scenario: Scenario, discrete: DiscretePlant | None = None) -> NominalTable:
+    def from_scenario(cls, scenario: Scenario, discrete: DiscretePlant | None = None) -> NominalTable:
         """Return the table of a scenario; `discrete` puts another plant in its place."""
         plant = scenario.discrete if discrete is None else discrete
         inner, k = plant.layout.controlled, plant.substeps

@@ -93,7 +93,7 @@ def ultimate_point(scenario: Scenario, pressure: float = 0.0) -> UltimatePoint:
     NumericalError
         If the loop is unstable at any gain, or stable up to `HIGHEST_GAIN`.
     """
-    table, unit = NominalTable.of(scenario), scenario.actuator.velocity_gain
+    table, unit = NominalTable.from_scenario(scenario), scenario.actuator.velocity_gain
 
     def loop(gain: float) -> SampledClosedLoop:
         gains = PIDGains(
@@ -161,7 +161,7 @@ class PIDRule:
             pressure=self.pressure,
         )
         radius = SampledClosedLoop(
-            NominalTable.of(scenario), pid_law(gains, scenario.control_period)
+            NominalTable.from_scenario(scenario), pid_law(gains, scenario.control_period)
         ).radius
         if not radius < 1.0:
             raise NumericalError(

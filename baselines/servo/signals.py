@@ -59,7 +59,7 @@ def recall(
 def as_action(current: FloatArray, current_limit: float) -> NDArray[np.float32]:
     """Return currents (...) [A] as the action (..., 1) that the environment takes, within [-1, 1].
 
-    A current that is no number becomes none: a law that has come to nothing lets the valve close.
+    A current that is no number becomes none: a law that gives no finite current closes the valve.
     """
     action = np.clip(np.nan_to_num(current / current_limit), -1.0, 1.0)
     return action[..., None].astype(np.float32)

@@ -140,7 +140,7 @@ def placed_feedback(table: NominalTable, scenario: Scenario, design: TVCDesign) 
 
 def tvc_law(scenario: Scenario, design: TVCDesign) -> LinearLaw:
     """Return three-variable control of a scenario's nominal table."""
-    table = NominalTable.of(scenario)
+    table = NominalTable.from_scenario(scenario)
     feedback = placed_feedback(table, scenario, design)
     D = np.zeros(SIGNALS)
     D[FEEDBACK] = -feedback

@@ -20,8 +20,8 @@ TOPICS = {
     ),
     "baselines": ("lqr", "estimation", "planning", "servo", "iterative", "analysis"),
     "agents": (
-        "policies", "execution", "evaluation", "training", "learning", "experiments", "reporting",
-        "motions", "studies", "cli",
+        "policies", "execution", "evaluation", "acceptance", "training", "learning", "experiments",
+        "laboratory", "deployment", "reporting", "motions", "studies", "cli",
     ),
 }  # fmt: skip
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from agents.reporting.evaluation_tables import cost_interval, interval
+from agents.reporting.evaluation_tables import cost_interval, interval_text
 from generators import DOCS
 from generators.markdown import table
 from shake_env import SCENARIO_NAMES
@@ -56,7 +56,7 @@ def headline() -> str:
 def shear_error(row: dict[str, Any]) -> str:
     """Return a row's base-shear error in percent and, where there are any, its failed tests."""
     failed = f", {row['failures']} of {row['episodes']} failed" if row["failures"] else ""
-    return interval(row["base_shear_rms_error"], 1, 100.0) + failed
+    return interval_text(row["base_shear_rms_error"], 1, 100.0) + failed
 
 
 def compared_tables() -> str | None:

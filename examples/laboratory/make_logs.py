@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from agents.laboratory.logs.log_file import write_log
-from agents.laboratory.sequence.rehearsal import shake
-from agents.laboratory.sequence.steps import close_shake, designed_on, next_shake, plan
+from agents.laboratory.sequence.rehearsal import simulate_shake
+from agents.laboratory.sequence.steps import close_shake, designed_on, next_shake, plan_sequence
 from shake_env.scenario.scenario_file import parse_toml
 from shake_env.scenario.uncertainty import Uncertainty
 
@@ -30,10 +30,12 @@ def main() -> None:
     scenario = parse_toml("frame.toml", text[1])
     truth = replace(scenario, uncertainty=Uncertainty()).with_plant(TRUTH)
     with tempfile.TemporaryDirectory() as folder:
-        sequence = plan(Path(folder) / "frame", scenario, amplitudes=(0.25, 1.0), samples=40)
+        sequence = plan_sequence(Path(folder) / "frame", scenario, amplitudes=(0.25, 1.0), samples=40)
         for number in (1, 2):
             sequence, _ = next_shake(sequence, override="a simulated frame")
-            log, *_ = shake(designed_on(sequence), truth, sequence.next.controller or "lqg", number)
+            log, *_ = simulate_shake(
+                designed_on(sequence), truth, sequence.next.controller or "lqg", number
+            )
             log = replace(log, name=f"shake {number}")
             write_log(log, HERE / f"shake{number}.h5")
             sequence, _ = close_shake(sequence, log)

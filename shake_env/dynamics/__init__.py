@@ -1,6 +1,6 @@
 """The update of one control period, in the array API; ground and reference specimen."""
 
-from shake_env.dynamics.ground import GroundMaps, GroundPeriod, Rows, filter_state
+from shake_env.dynamics.ground import GroundMaps, GroundPeriod, GroundRowLayout, filter_state
 from shake_env.dynamics.linear import PeriodResponse, TableDynamics, as_like
 from shake_env.dynamics.nonlinear import (
     NonlinearDynamics,
@@ -17,9 +17,9 @@ from shake_env.dynamics.yielding_reference import YieldingReference
 __all__ = [
     "GroundMaps",
     "GroundPeriod",
+    "GroundRowLayout",
     "NonlinearDynamics",
     "PeriodResponse",
-    "Rows",
     "TableDynamics",
     "YieldingReference",
     "apply",

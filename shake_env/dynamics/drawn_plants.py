@@ -1,9 +1,9 @@
-"""The matrices of drawn plants, from numbers to a fleet's stacks, by compiled small matrices.
+"""The matrices of drawn plants, from numbers to the stacks of a batch, by compiled small matrices.
 
-What `plant_batch.Fleet` otherwise makes through `model.plant`, `nonlinear`, `yielding_reference` and
-`ground`, which stay the reference; a test holds this equal to it. There each entry is an operation on
-arrays; here it is one on numbers, and what the current cannot reach is made from its own states alone.
-Storeys are a chain, and the equations the corrected ones.
+What `plant_batch.PlantBatch` otherwise makes through `model.plant`, `nonlinear`, `yielding_reference`
+and `ground`, which stay the reference; a test holds this equal to it. There each entry is an operation
+on arrays; here it is one on numbers, and what the current cannot reach is made from its own states
+alone. Storeys are a chain, and the equations the corrected ones.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def _compiled() -> Any:
 
 
 class DrawnPlants:
-    """What the plants of a fleet have in common, and the stacks that their matrices go to.
+    """What the plants of a batch have in common, and the stacks that their matrices go to.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ class GroundPeriod:
     drive: Array | None  # (..., 4 + 2 stories + 2 k) or None, see TableDynamics.control_step
     preview: Array | None = None  # (..., samples) target acceleration to come [m/s^2], or None
 
-    def like(self, array: Array) -> GroundPeriod:
+    def to(self, array: Array) -> GroundPeriod:
         """Return this period in the library, precision and device of `array`."""
         drive = None if self.drive is None else as_like(self.drive, array)
         preview = None if self.preview is None else as_like(self.preview, array)
@@ -51,7 +51,7 @@ class GroundPeriod:
 
 
 @dataclass(frozen=True)
-class Rows:
+class GroundRowLayout:
     """Width of each part of a row, in order."""
 
     ground: int
@@ -83,7 +83,7 @@ class Rows:
         )
 
     @classmethod
-    def of(cls, discrete: DiscretePlant) -> Rows:
+    def from_plant(cls, discrete: DiscretePlant) -> GroundRowLayout:
         """Return the widths for a plant."""
         layout, k = discrete.layout, discrete.substeps
         # In the corrected equations the target reaches the table through the current only.
@@ -162,10 +162,12 @@ class GroundMaps:
     yielding: YieldingReference | None
 
     @classmethod
-    def of(cls, discrete: DiscretePlant, yielding: Yielding) -> GroundMaps:
+    def from_plant(cls, discrete: DiscretePlant, yielding: Yielding) -> GroundMaps:
         """Return the maps of one plant, or of a stack."""
         reference = (
-            YieldingReference.of(discrete.plant, yielding, discrete.dt) if yielding.active else None
+            YieldingReference.from_plant(discrete.plant, yielding, discrete.dt)
+            if yielding.active
+            else None
         )
         return cls(_noise_map(discrete), _record_map(discrete), reference)
 

@@ -45,7 +45,7 @@ class TableDynamics:
     substeps: int  # k
 
     @classmethod
-    def of(cls, discrete: DiscretePlant) -> TableDynamics:
+    def from_plant(cls, discrete: DiscretePlant) -> TableDynamics:
         """Cut the controlled part out of the lifted plant."""
         layout, lifted = discrete.layout, discrete.lifted
         columns = np.r_[layout.controlled, layout.order]
@@ -63,7 +63,7 @@ class TableDynamics:
     def _transposed(self) -> Array:
         return self.matrix.T
 
-    def like(self, array: Array) -> TableDynamics:
+    def to(self, array: Array) -> TableDynamics:
         """Return this update in the library, precision and device of `array`."""
         return replace(self, matrix=as_like(self.matrix, array))
 

@@ -184,7 +184,7 @@ class NonlinearDynamics:
     substeps: int
 
     @classmethod
-    def of(
+    def from_plant(
         cls,
         plant: CoupledPlant,
         parts: Nonlinearity,
@@ -223,12 +223,15 @@ class NonlinearDynamics:
             substeps=substeps,
         )
 
+    # The planning model calls it so; its source is part of the key of stored bounds (`bound_store`).
+    of = from_plant
+
     @property
     def states(self) -> int:
         """Length of the state: m of the plant, and the commands under way."""
         return int(self.advance.shape[-2] + self.arrival.shape[-1] - 1)
 
-    def like(self, array: Array) -> NonlinearDynamics:
+    def to(self, array: Array) -> NonlinearDynamics:
         """Return this update in the library, precision and device of `array`."""
         return replace(self, **{name: as_like(getattr(self, name), array) for name in ARRAYS})
 

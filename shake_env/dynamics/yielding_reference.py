@@ -23,7 +23,7 @@ ARRAYS = ("A", "ground", "ground_next", "level", "slope", "C")
 class YieldingReference:
     """One physics step of ``[x~_r, x~_r', s~]`` under a target that runs straight between samples.
 
-    The same scheme as the table's (`nonlinear_dynamics`). Matrices are common, or one a table.
+    The same scheme as the table's (`shake_env.dynamics.nonlinear`). Matrices are common, or one a table.
     """
 
     yielding: Yielding
@@ -36,7 +36,7 @@ class YieldingReference:
     stories: int
 
     @classmethod
-    def of(cls, plant: CoupledPlant, yielding: Yielding, dt: float) -> YieldingReference:
+    def from_plant(cls, plant: CoupledPlant, yielding: Yielding, dt: float) -> YieldingReference:
         """Discretise the yielding specimen of a plant."""
         continuous = specimen_with_slip(plant, yielding)
         scale = plant.state_scale[..., plant.layout.reference]

@@ -31,7 +31,7 @@ GRAVITY = 9.80665  # [m/s^2] standard gravity, used only where a record comes in
 Part = TypeVar("Part", "Actuator", "Specimen", ServoValve, Nonlinearity)
 
 
-def unchecked(part: Part, **changes: Any) -> Part:
+def replace_unchecked(part: Part, **changes: Any) -> Part:
     """Return a copy of parameters with fields changed that follow from checked ones: none is checked."""
     changed = copy.copy(part)
     for name, value in changes.items():
@@ -46,7 +46,7 @@ def stacked(parts: Sequence[Part]) -> Part:
     """
     columns = {f.name: [getattr(part, f.name) for part in parts] for f in fields(parts[0])}
     given = {name: values for name, values in columns.items() if any(v is not None for v in values)}
-    return unchecked(parts[0], **{name: np.array(values) for name, values in given.items()})
+    return replace_unchecked(parts[0], **{name: np.array(values) for name, values in given.items()})
 
 
 def require_positive(owner: object, *fields: str) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 
 from shake_env.errors import ParameterError
-from shake_env.model.parameters import FloatArray, Specimen, unchecked
+from shake_env.model.parameters import FloatArray, Specimen, replace_unchecked
 
 COUPLING = 0.2  # largest share of one measured shape in another, in the masses' measure
 _RESIDUAL = 3.0  # frequency of the modes that were not measured, over the highest that was
@@ -126,12 +126,14 @@ def damped_specimen(specimen: Specimen) -> Specimen:
     """Return a specimen of which every storey, or every mode of a coupled one, has 1 % of damping."""
     if not specimen.coupled:
         critical = 2.0 * np.sqrt(np.multiply(specimen.masses, specimen.stiffnesses))
-        return unchecked(specimen, dampings=np.maximum(specimen.dampings, 0.01 * critical))
+        return replace_unchecked(specimen, dampings=np.maximum(specimen.dampings, 0.01 * critical))
     M, C = specimen.mass_matrix, specimen.damping_matrix
     squares, shapes = eigh(specimen.stiffness_matrix, M)
     missing = 0.02 * np.sqrt(squares) - np.einsum("im,ij,jm->m", shapes, C, shapes)
     weighed = M @ shapes
-    return unchecked(specimen, coupled_dampings=C + (weighed * np.maximum(missing, 0.0)) @ weighed.T)
+    return replace_unchecked(
+        specimen, coupled_dampings=C + (weighed * np.maximum(missing, 0.0)) @ weighed.T
+    )
 
 
 def _matrix(values: ArrayLike) -> FloatArray:

@@ -104,7 +104,7 @@ class TableCapacity:
         check_ranges(self)
 
     @classmethod
-    def of(
+    def from_actuator(
         cls,
         actuator: Actuator,
         specimen: Specimen,
@@ -132,7 +132,9 @@ class MotionPeaks:
     force: float  # [N]
 
     @classmethod
-    def of(cls, motion: RecordedMotion, capacity: TableCapacity, physics_step: float) -> MotionPeaks:
+    def from_motion(
+        cls, motion: RecordedMotion, capacity: TableCapacity, physics_step: float
+    ) -> MotionPeaks:
         """Return the peaks of a motion at multiples of `physics_step` [s]."""
         history = target_history(motion, physics_step)
         force = capacity.moving_mass * history.acceleration + capacity.table_damping * history.velocity
@@ -171,7 +173,7 @@ def fit_amplitude(
         Step [s] at which the peaks are taken.
     """
     capacity = TableCapacity() if capacity is None else capacity
-    before = MotionPeaks.of(motion, capacity, physics_step)
+    before = MotionPeaks.from_motion(motion, capacity, physics_step)
     shares = _shares(before, capacity)
     name = max(shares, key=lambda key: shares[key])
     # A whisker below, so that rounding leaves no peak above its limit.
@@ -199,7 +201,7 @@ def fit_time(
         Step [s] at which the peaks are taken.
     """
     capacity = TableCapacity() if capacity is None else capacity
-    before = MotionPeaks.of(motion, capacity, physics_step)
+    before = MotionPeaks.from_motion(motion, capacity, physics_step)
     shares = _shares(before, capacity)
     needed = {"displacement": math.sqrt(shares["displacement"]), "velocity": shares["velocity"]}
     name = max(needed, key=lambda key: needed[key])
@@ -211,7 +213,7 @@ def fit_time(
     scaled = motion
     for _ in range(8):  # what lies above the physics step's Nyquist frequency is lost: not quite the law
         scaled = replace(motion, time_compression=motion.time_compression * compression)
-        left = _shares(MotionPeaks.of(scaled, capacity, physics_step), capacity)
+        left = _shares(MotionPeaks.from_motion(scaled, capacity, physics_step), capacity)
         worst = max(math.sqrt(left["displacement"]), left["velocity"])
         if worst <= 1.0:
             break
@@ -237,7 +239,7 @@ def _fit(
     capacity: TableCapacity,
     physics_step: float,
 ) -> TableFit:
-    after = MotionPeaks.of(scaled, capacity, physics_step)
+    after = MotionPeaks.from_motion(scaled, capacity, physics_step)
     fits = max(_shares(after, capacity).values()) <= 1.0
     limits: dict[str, Literal["displacement", "velocity", "acceleration", "force"]] = {
         "displacement": "displacement", "velocity": "velocity", "acceleration": "acceleration",

@@ -12,7 +12,7 @@ from shake_env.model.parameters import Specimen
 from shake_env.model.specimens import specimen_from_matrices
 from shake_env.records.formats.matlab import is_matlab, matlab_variables
 from shake_env.records.motion_file import file_content
-from shake_env.records.text.source import number
+from shake_env.records.text.source import parse_number
 
 _MATRICES = ("M", "K", "C")
 
@@ -71,7 +71,7 @@ def _csv(data: bytes) -> Mapping[str, Any]:
         elif rows is None:
             raise ValueError(f"line {line_number} stands before the name of a matrix: M, K or C")
         else:
-            values = [number(part) for part in text.replace(",", " ").split()]
+            values = [parse_number(part) for part in text.replace(",", " ").split()]
             if None in values:
                 raise ValueError(f"line {line_number} is no row of finite numbers")
             rows.append([value for value in values if value is not None])

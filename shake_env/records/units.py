@@ -210,30 +210,3 @@ def settle_interval(place: str, stated: float | None, asked: float | None) -> fl
     if asked is not None and not math.isclose(stated, asked, rel_tol=1e-6):
         raise RecordError(place, stated, f"the file's own step differs from the given {asked} s")
     return stated
-
-
-def check_peak(place: str, stated: str, unit: Unit, acceleration: FloatArray) -> None:
-    """Refuse data whose peak is not the one that the header prints: a wrong unit, or damage.
-
-    Parameters
-    ----------
-    place
-        File and line of the header's peak.
-    stated
-        The peak as printed.
-    unit
-        Its unit.
-    acceleration
-        (points,) [m/s^2].
-
-    Raises
-    ------
-    RecordError
-        If they differ by more than 2 % and the last printed digit.
-    """
-    expected = abs(float(unit.to_si(np.asarray(float(stated)))))
-    digit = float(unit.to_si(np.asarray(10.0 ** -len(stated.partition(".")[2]))))
-    peak = max(-float(np.min(acceleration)), float(np.max(acceleration)))
-    if not (math.isfinite(expected) and abs(peak - expected) <= 0.02 * expected + digit):
-        remedy = f"the data's own peak is {peak / float(unit.to_si(np.asarray(1.0))):.6g} {unit}"
-        raise RecordError(place, f"peak {stated}", f"{remedy}: the file is damaged or its unit wrong")

@@ -154,7 +154,7 @@ class Painter:
 
     def _write_still(self, draw: ImageDraw.ImageDraw) -> None:
         def put(x: float, y: float, text: str, size: int = 13, anchor: str = "lm") -> None:
-            write(draw, x, y, text, size=size, anchor=anchor, colour=255)
+            draw_text(draw, x, y, text, size=size, anchor=anchor, colour=255)
 
         put(10.0, 15.0, self.title, 15)
         put(CENTRES[0], 42.0, "on the table", anchor="mm")
@@ -175,21 +175,21 @@ class Painter:
             put(x, STRIPS[1][1] + 13.0, word, 12, anchor)
 
     def _write(self, draw: ImageDraw.ImageDraw, scene: Scene) -> None:
-        write(draw, WIDTH - 10.0, 15.0, f"{scene.time:.2f} s", size=15, anchor="rm")
+        draw_text(draw, WIDTH - 10.0, 15.0, f"{scene.time:.2f} s", size=15, anchor="rm")
         if scene.broken is not None:
             reason = "stopped: " + scene.broken.replace("_", " ")
-            write(draw, WIDTH / 2.0, 15.0, reason, size=15, anchor="mm", colour=VERMILLION)
+            draw_text(draw, WIDTH / 2.0, 15.0, reason, size=15, anchor="mm", colour=VERMILLION)
         x = CYLINDER[0] + 4.0
-        write(draw, x, BASE_TOP - 34.0, f"valve {1e3 * scene.current:+.0f} mA", size=12)
-        write(draw, x, BASE_TOP - 18.0, f"stroke {1e3 * scene.stroke:+.0f} mm", size=12)
+        draw_text(draw, x, BASE_TOP - 34.0, f"valve {1e3 * scene.current:+.0f} mA", size=12)
+        draw_text(draw, x, BASE_TOP - 18.0, f"stroke {1e3 * scene.stroke:+.0f} mm", size=12)
         for x, (word, width) in zip(RULERS, rulers(scene.scales), strict=True):
-            write(draw, x + width + 8.0, RULER_Y, word, size=12)
+            draw_text(draw, x + width + 8.0, RULER_Y, word, size=12)
         for i, (top, bottom) in enumerate(STRIPS):
             scale, error = scene.scales[2 + i] / (1.0, 1e3)[i], scene.errors[i]
             known = "-" if math.isnan(error) else f"{100.0 * min(error, 99.99):.0f} %"
-            write(draw, STRIP_X[1], top - 12.0, f"rms error {known}", anchor="rm")
+            draw_text(draw, STRIP_X[1], top - 12.0, f"rms error {known}", anchor="rm")
             for value, y in ((scale, top), (-scale, bottom)):
-                write(draw, STRIP_X[0] - 6.0, y, f"{value:g}", size=12, anchor="rm")
+                draw_text(draw, STRIP_X[0] - 6.0, y, f"{value:g}", size=12, anchor="rm")
 
 
 def rulers(scales: Sequence[float]) -> list[tuple[str, float]]:
@@ -254,7 +254,7 @@ class Pen:
             self.line([(x, y), (x - depth, y + depth)], GREY, 0.5)
 
 
-def write(
+def draw_text(
     draw: ImageDraw.ImageDraw,
     x: float,
     y: float,

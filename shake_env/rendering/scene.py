@@ -1,7 +1,7 @@
 """What a picture of a running test shows, as numbers: positions, histories, errors and scales.
 
 Fed once a control period, whether or not a picture is made, so that what a frame shows does not depend
-on how often one is asked for. Drawing is `drawing`.
+on how often one is asked for. Drawing is `painter`.
 """
 
 from __future__ import annotations

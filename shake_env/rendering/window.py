@@ -196,7 +196,7 @@ class Window:
             self._surface = self._pygame.display.set_mode((width, height))
         except self._pygame.error as error:
             raise ScenarioError("display", str(error), f"{NO_DISPLAY}: {REMEDY}") from None
-        # Without a display SDL draws where nobody looks, which a user may also have asked for.
+        # Without a display SDL draws off the screen, which a user may also have asked for.
         self.on_display = (
             self._pygame.display.get_driver() not in UNSEEN or "SDL_VIDEODRIVER" in os.environ
         )

@@ -161,7 +161,7 @@ class BrakingPrediction:
     carry: FloatArray  # (H, 2 stories, 2 stories + 2) [x_r, w] from [x_r, w, v_a before, v_a after]
 
     @classmethod
-    def of(
+    def from_scenario(
         cls,
         scenario: Scenario,
         specimens: Sequence[Specimen],

@@ -36,7 +36,7 @@ class Channels:
     rarity: FloatArray  # (s,) -log10 of the chance that two readings in a row are equal; 0: certain
 
     @classmethod
-    def of(cls, scenario: Scenario) -> Channels:
+    def from_scenario(cls, scenario: Scenario) -> Channels:
         """Return the channels of a scenario that shows all four readings of x_A."""
         layout, limits = scenario.observation, scenario.limits
         names = sorted(STATE_SIGNALS, key=STATE_SIGNALS.__getitem__)

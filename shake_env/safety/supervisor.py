@@ -116,9 +116,9 @@ class Supervised:
         bounds["current"] = self.most * scenario.current_limit
         _require_readings(scenario)
         specimens = _family(scenario, mass_ratio, storey_frequency)
-        self.observer = TableStateObserver.of(scenario)
+        self.observer = TableStateObserver.from_scenario(scenario)
         noise = self.observer.channels.noise[:ACTUATOR]
-        self.prediction = BrakingPrediction.of(scenario, specimens, bounds, noise)
+        self.prediction = BrakingPrediction.from_scenario(scenario, specimens, bounds, noise)
         # What an error of x_A does to every look ahead, (H, 4, R) [A per SI unit].
         self.sensitivity = np.abs(self.prediction.rows[:, :ACTUATOR])
         self._latest: tuple[Memory, ObserverMemory, HeldEntries] | None = None

@@ -77,9 +77,9 @@ class TableStateObserver:
     oil: FloatArray  # (n,) error that the oil's stiffness makes, for a unit change of pressure
 
     @classmethod
-    def of(cls, scenario: Scenario) -> TableStateObserver:
+    def from_scenario(cls, scenario: Scenario) -> TableStateObserver:
         """Return the observer of a scenario's nominal table."""
-        channels, actuator = Channels.of(scenario), scenario.actuator
+        channels, actuator = Channels.from_scenario(scenario), scenario.actuator
         uncertain = scenario.uncertainty
         bare = bare_table(scenario)
         model = bare.period
@@ -257,7 +257,7 @@ def _low_pass(scenario: Scenario, signal: FloatArray) -> tuple[float, FloatArray
     signal
         (k + 1, columns) at the period's start and after each physics step; straight between.
     """
-    decay = 2.0 * math.pi * scenario.physics_step * Channels.of(scenario).cutoff
+    decay = 2.0 * math.pi * scenario.physics_step * Channels.from_scenario(scenario).cutoff
     stays, mean = math.exp(-decay), -math.expm1(-decay) / decay
     row = np.zeros(signal.shape[1])
     for before, now in pairwise(signal):

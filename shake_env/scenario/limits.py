@@ -67,7 +67,9 @@ class Limits:
             raise ParameterError("soft_share", self.soft_share, "must lie between 0 and 1")
         if not RANGES["Limits"]["cost_factor"].holds(self.cost_factor):
             raise ParameterError(
-                "cost_factor", self.cost_factor, "must be at least 1, or crashing pays, and at most 1e9"
+                "cost_factor",
+                self.cost_factor,
+                "must be 1 to 1e9: below 1, breaking a limit costs less than going on",
             )
         check_ranges(self)
 

@@ -44,7 +44,7 @@ def _table() -> Nonlinearity:
 
 
 def linear() -> Scenario:
-    """Return the paper's table in corrected equations: linear, fully seen, without limits."""
+    """Return the paper's table in corrected equations: linear, full state, without limits."""
     return Scenario()
 
 
@@ -54,7 +54,7 @@ def as_printed() -> Scenario:
 
 
 def laboratory() -> Scenario:
-    """Return a table as a laboratory has it: friction, orifice, limits, noise, delay, preview."""
+    """Return a laboratory's table: friction, orifice, limits, noise, delay, preview."""
     return Scenario(
         name="laboratory",
         ground=_ground(),
@@ -68,7 +68,7 @@ def laboratory() -> Scenario:
 
 
 def unknown_specimen() -> Scenario:
-    """Return the linear table with laboratory signals under a specimen that nobody has weighed."""
+    """Return the linear table with laboratory signals under a specimen of unknown mass and stiffness."""
     return Scenario(
         name="unknown-specimen",
         specimen=Specimen.uniform(mass_ratio=0.55, storey_frequency=7.0),
@@ -83,7 +83,7 @@ def unknown_specimen() -> Scenario:
 
 
 def yielding() -> Scenario:
-    """Return a linear table, fully seen with a preview, under a specimen that the test damages."""
+    """Return a linear table with full state and a preview, under a specimen whose storeys yield."""
     return Scenario(
         name="yielding",
         ground=_ground(),
@@ -96,7 +96,7 @@ def yielding() -> Scenario:
 
 
 def field() -> Scenario:
-    """Return the laboratory's table as it is found: parameters drawn around those it is taken to have.
+    """Return the laboratory's table with parameters drawn around the nominal ones.
 
     The nominal table is `laboratory` with a valve of second order, Stribeck friction and a supply that
     sags; it is what controllers are designed on. Each spread has its reason on the scenario's page.
@@ -141,9 +141,9 @@ def _in_the_field(sensor: Sensor) -> Sensor:
 
 
 def records() -> Scenario:
-    """Return the laboratory's table under the embedded records, each scaled until it can be repeated."""
+    """Return the laboratory's table under the embedded records, each scaled to the table."""
     table = laboratory()
-    capacity = TableCapacity.of(table.actuator, table.specimen, velocity=RATED_VELOCITY)
+    capacity = TableCapacity.from_actuator(table.actuator, table.specimen, velocity=RATED_VELOCITY)
     motions = (
         RecordedMotion(record=name, highpass_frequency=0.2, lowpass_frequency=25.0)
         for name in RECORD_NAMES

@@ -3,7 +3,7 @@
 from shake_env.simulation.engine import StepResult
 from shake_env.simulation.excitation import Excitation
 from shake_env.simulation.memory import check_memory
-from shake_env.simulation.metrics import EpisodeMetrics, Sums
+from shake_env.simulation.metrics import EpisodeMetrics, MetricAccumulator
 from shake_env.simulation.sensors import Measurement, SensorMemory
 from shake_env.simulation.simulation import Simulation, earthquake_stream, episode_stream
 from shake_env.simulation.trajectory import Recorder, Trajectory
@@ -13,11 +13,11 @@ __all__ = [
     "EpisodeMetrics",
     "Excitation",
     "Measurement",
+    "MetricAccumulator",
     "Recorder",
     "SensorMemory",
     "Simulation",
     "StepResult",
-    "Sums",
     "TableModel",
     "Trajectory",
     "check_memory",

@@ -57,8 +57,8 @@ class CompiledEngine(TableRecords):
         alone, address = pool.take()
         self._alone = self._new_table(STEP)
         self._alone[_AT_REPORT], self._alone[_AT_SEEN], self._alone[_AT_ENDS] = pool.addresses(address)
-        report, seen, _, _ = pool.views(alone)
-        self._report_alone, self._seen_alone = report[:, 0], seen[0]
+        report, observations, _, _ = pool.views(alone)
+        self._report_alone, self._observation_alone = report[:, 0], observations[0]
         self._address_alone = self._alone.ctypes.data
 
     def _new_table(self, mode: int) -> IntArray:
@@ -120,7 +120,7 @@ class CompiledEngine(TableRecords):
         self.episode_steps[index] = [each.steps for each in episodes]
         for lane, each in zip(lanes, episodes, strict=True):
             self.motions[lane] = each.motion
-        shapes = self._shapes.of([each.motion for each in episodes], self._used)
+        shapes = self._shapes.numbers([each.motion for each in episodes], self._used)
         self._point_to_shapes()
         shown = np.empty((len(lanes), self._packed.sizes["shown"]), dtype=np.float32)
         blocks = index // self._block
@@ -141,11 +141,11 @@ class CompiledEngine(TableRecords):
         wholes[rows["recorded"].start] = isinstance(motion, RecordedMotion)
         record[rows["amplitude"].start] = motion.amplitude
         record[rows["severity"].start] = episode.severity
-        wholes[rows["shape"].start] = self._shapes.of([motion], self._used)[0]
+        wholes[rows["shape"].start] = self._shapes.numbers([motion], self._used)[0]
         self._point_to_shapes()
         self._set_to_time_zero(record, wholes, episode)
         self._call(START, at_seen=int(self._alone[_AT_SEEN]))
-        shown: Observations = self._seen_alone[None].copy()
+        shown: Observations = self._observation_alone[None].copy()
         return shown
 
     def _set_to_time_zero(self, record: FloatArray, wholes: IntArray, episode: Episode) -> None:
@@ -240,15 +240,15 @@ class CompiledEngine(TableRecords):
             place[_AT_REPORT], place[_AT_SEEN], place[_AT_ENDS] = addresses
         helpers = self._helpers
         ended = self._period(self._address) if helpers is None else helpers()
-        report, seen, terminated, truncated = self._pool.views(memory)
-        return StepResult(self, seen, report, terminated, truncated, ended)
+        report, observations, terminated, truncated = self._pool.views(memory)
+        return StepResult(self, observations, report, terminated, truncated, ended)
 
     def step_alone(self, action: float) -> tuple[Observations, list[float], int]:
         """Advance the one table; return its observation (n,), report and `StepResult.ended`."""
         self.number += 1
         self._given[0] = action
         ended = self._period(self._address_alone)
-        return self._seen_alone.copy(), self._report_alone.tolist(), ended
+        return self._observation_alone.copy(), self._report_alone.tolist(), ended
 
     def advance_ground(self) -> tuple[GroundPeriod, FloatArray]:
         """Advance the ground alone; return it, and the noise (N, s) of the readings, SI."""

@@ -30,7 +30,7 @@ class Tables:
     """What an engine is made of."""
 
     scenario: Scenario
-    model: TableModel  # in numpy; of a fleet, its matrices one a lane
+    model: TableModel  # in numpy; with drawn plants its matrices one a lane
     maps: GroundMaps  # likewise
     lanes: int  # number of tables N
     preview: tuple[int, int]  # target samples shown ahead, and the physics steps between them

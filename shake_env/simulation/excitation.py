@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shake_env.dynamics.ground import GroundMaps, GroundPeriod, Rows
+from shake_env.dynamics.ground import GroundMaps, GroundPeriod, GroundRowLayout
 from shake_env.dynamics.nonlinear import apply
 from shake_env.model.discretization import DiscretePlant
 from shake_env.model.nonlinearity import Yielding
@@ -73,8 +73,8 @@ class Excitation:
     ) -> None:
         self._discrete, self._preview, self._finer = discrete, preview, finer
         self.ahead = periods_ahead(preview, discrete.substeps)
-        self._rows = Rows.of(discrete)
-        self.maps = GroundMaps.of(discrete, Yielding()) if maps is None else maps
+        self._rows = GroundRowLayout.from_plant(discrete)
+        self.maps = GroundMaps.from_plant(discrete, Yielding()) if maps is None else maps
         self._exogenous = self._rows.ground + self._rows.reference
         self._draws = self.maps.noise.shape[-1] - self._exogenous
         self.motions: list[EpisodeMotion] = [FilteredNoise()] * lanes

@@ -26,7 +26,7 @@ class EpisodeMetrics:
     broken_limit: str | None  # what ended the episode early; errors then count what ran
 
 
-class Sums:
+class MetricAccumulator:
     """Running sums and peaks of N lanes, counted only while a lane's episode runs."""
 
     def __init__(self, lanes: int) -> None:

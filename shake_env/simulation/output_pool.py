@@ -1,4 +1,4 @@
-"""Arrays that a step hands out, whose memory is used again once nobody holds them."""
+"""Arrays that a step returns, whose memory is reused once no reference to them is left."""
 
 from __future__ import annotations
 

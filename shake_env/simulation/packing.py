@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shake_env.dynamics.ground import Rows
+from shake_env.dynamics.ground import GroundRowLayout
 from shake_env.dynamics.linear import TableDynamics
 from shake_env.kernels.layout import FIELDS, MATRICES, ROOM, SCALARS, VECTORS
 from shake_env.model.nonlinearity import Nonlinearity
@@ -51,7 +51,7 @@ class Packed:
 def pack(tables: Tables, block: int) -> Packed:
     """Lay out a scenario's tables for the compiled engine, in blocks of 1 or more."""
     sizes = _sizes(tables)
-    rows, record_rows = _slices(_field_rows(tables, sizes, block), FIELDS)
+    rows, record_rows = _slices(_field_rows(sizes, block), FIELDS)
     sources = _sources(tables, sizes, rows)
     sizes["segments"] = len(sources)
     room, room_rows = _slices(_room_rows(sizes, block), ROOM)
@@ -133,15 +133,15 @@ def _switches(parts: Nonlinearity, stories: int, order: int) -> dict[str, int]:
         "rate": int(math.isfinite(parts.valve.spool_rate_limit)),
         "slips": stories * parts.yielding.active,
     }
-    found, start = {}, 0
+    places, start = {}, 0
     for name, width in widths.items():
-        found[name] = start if width else -1
+        places[name] = start if width else -1
         start += width
     first_order = parts.valve.natural_frequency is None
     exponent = parts.yielding.exponent
     repeated = float(exponent).is_integer() and exponent <= MOST_REPEATED
     return {
-        **found,
+        **places,
         "columns": start,
         "friction": int(parts.friction.active),
         "static": int(parts.friction.static is not None),
@@ -153,7 +153,7 @@ def _switches(parts: Nonlinearity, stories: int, order: int) -> dict[str, int]:
 def _sizes(tables: Tables) -> dict[str, int]:
     """Return the sizes of a scenario."""
     model, discrete, layout = tables.model, tables.scenario.discrete, tables.scenario.observation
-    dynamics, ground, sensing = model.dynamics, Rows.of(discrete), layout.sensing
+    dynamics, ground, sensing = model.dynamics, GroundRowLayout.from_plant(discrete), layout.sensing
     lifted = isinstance(dynamics, TableDynamics)
     order = model.controlled if isinstance(dynamics, TableDynamics) else dynamics.advance.shape[-2]
     parts = Nonlinearity() if isinstance(dynamics, TableDynamics) else dynamics.parts
@@ -189,7 +189,7 @@ def _sizes(tables: Tables) -> dict[str, int]:
     }
 
 
-def _field_rows(tables: Tables, sizes: Mapping[str, int], block: int) -> dict[str, int]:
+def _field_rows(sizes: Mapping[str, int], block: int) -> dict[str, int]:
     """Return how many rows of a record each field has."""
     rows = dict.fromkeys(FIELDS, 1)
     s, k = sizes["readings"], sizes["substeps"]
@@ -230,11 +230,11 @@ def _room_rows(sizes: Mapping[str, int], block: int) -> dict[str, int]:
 
 
 def _slices(rows: Mapping[str, int], names: Sequence[str]) -> tuple[dict[str, slice], int]:
-    found, start = {}, 0
+    places, start = {}, 0
     for name in names:
-        found[name] = slice(start, start + rows[name])
+        places[name] = slice(start, start + rows[name])
         start += rows[name]
-    return found, start
+    return places, start
 
 
 def _numbers(tables: Tables, sizes: Mapping[str, int]) -> tuple[FloatArray, dict[str, int]]:

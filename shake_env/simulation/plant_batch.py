@@ -21,7 +21,7 @@ from shake_env.dynamics.nonlinear import (
 )
 from shake_env.errors import ScenarioError
 from shake_env.model.discretization import MOST_DIRECTIONS, DiscretePlant
-from shake_env.model.parameters import FloatArray, stacked, unchecked
+from shake_env.model.parameters import FloatArray, replace_unchecked, stacked
 from shake_env.model.plant import CoupledPlant
 from shake_env.model.specimen_state import SpecimenState
 from shake_env.numba_support import compiled_module
@@ -32,7 +32,7 @@ from shake_env.simulation.transition import TableModel
 IntArray = NDArray[np.int64]
 
 
-class Fleet:
+class PlantBatch:
     """The drawn plants of N tables, stacked so that one update steps them all.
 
     Parameters
@@ -49,7 +49,7 @@ class Fleet:
     """
 
     def __init__(self, scenario: Scenario, lanes: int) -> None:
-        nominal = TableModel.of(scenario)
+        nominal = TableModel.from_scenario(scenario)
         if not isinstance(nominal.dynamics, NonlinearDynamics):
             raise ScenarioError("uncertainty", scenario.uncertainty, "is not active: nothing to draw")
         self.scenario = scenario
@@ -64,7 +64,7 @@ class Fleet:
         # How many directions of noise lie above rounding differs from plant to plant.
         self._directions = scenario.noise_directions or MOST_DIRECTIONS
         discrete = replace(scenario.discrete, directions=self._directions)
-        maps = GroundMaps.of(discrete, scenario.nonlinearity.yielding)
+        maps = GroundMaps.from_plant(discrete, scenario.nonlinearity.yielding)
         self._noise = _repeat(maps.noise, lanes)
         self._record = _repeat(maps.record, lanes)
         self._reference: dict[str, Any] = {
@@ -105,7 +105,7 @@ class Fleet:
         """The true scenario of each lane, made when asked for."""
         return [self.scenario.with_plant(each) if each else self.scenario for each in self._values]
 
-    def draw(self, lanes: Sequence[int], streams: Sequence[np.random.Generator]) -> None:
+    def sample(self, lanes: Sequence[int], streams: Sequence[np.random.Generator]) -> None:
         """Give each of `lanes` a new plant, drawn from its stream."""
         scenario, index = self.scenario, np.asarray(lanes, dtype=np.int64)
         stories, k = scenario.specimen.stories, scenario.substeps
@@ -141,8 +141,8 @@ class Fleet:
         )
         parts, step, k = scenario.parts, scenario.physics_step, scenario.substeps
         valve = stacked([true.nonlinearity.valve for true in drawn])
-        own_parts = unchecked(parts, valve=valve) if parts.valve.active else parts
-        dynamics = NonlinearDynamics.of(
+        own_parts = replace_unchecked(parts, valve=valve) if parts.valve.active else parts
+        dynamics = NonlinearDynamics.from_plant(
             plant,
             own_parts,
             step,
@@ -158,7 +158,7 @@ class Fleet:
             column[index] = getattr(cost, name)
         if self._floors is not None:
             self._floors[index] = floor_rows(plant, parts.yielding)
-        maps = GroundMaps.of(DiscretePlant(plant, step, k, self._directions), parts.yielding)
+        maps = GroundMaps.from_plant(DiscretePlant(plant, step, k, self._directions), parts.yielding)
         self._noise[index] = maps.noise
         self._record[index] = maps.record
         for name, stack in self._reference.items():

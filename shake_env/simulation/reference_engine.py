@@ -172,7 +172,7 @@ class ReferenceEngine:
         """Go on from the state of as many tables of the same scenario."""
         self.number += 1
         self._excitation.set_state(state)
-        self.state, self.memory = state["state"].copy(), SensorMemory.of(state)
+        self.state, self.memory = state["state"].copy(), SensorMemory.from_state(state)
         for name in ("step_count", "episode_steps", "severity"):
             getattr(self, name)[...] = state[name]
 

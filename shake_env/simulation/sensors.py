@@ -26,7 +26,7 @@ class SensorMemory:
     action: Array  # (...) last action, within [-1, 1]
     past: Array  # (..., history, s or s + 1) readings over their scale and last actions, newest first
 
-    def like(self, array: Array) -> SensorMemory:
+    def to(self, array: Array) -> SensorMemory:
         """Return this memory in the library, precision and device of `array`."""
         return SensorMemory(*(as_like(getattr(self, f.name), array) for f in fields(self)))
 
@@ -35,7 +35,7 @@ class SensorMemory:
         return {f"sensor_{f.name}": np.array(getattr(self, f.name)) for f in fields(self)}
 
     @classmethod
-    def of(cls, state: Mapping[str, Array]) -> SensorMemory:
+    def from_state(cls, state: Mapping[str, Array]) -> SensorMemory:
         """Return the memory that a simulation's state holds."""
         return cls(*(state[f"sensor_{f.name}"] for f in fields(cls)))
 
@@ -55,7 +55,7 @@ class Measurement:
     gain_error: Array  # (s,) [-] likewise of the relative gain error
 
     @classmethod
-    def of(cls, scenario: Scenario) -> Measurement:
+    def from_scenario(cls, scenario: Scenario) -> Measurement:
         """Return the measurement of a scenario's observation."""
         layout = scenario.observation
         first = first_low_pass(scenario.plant, scenario.parts)
@@ -74,7 +74,7 @@ class Measurement:
             gain_error=layout.sensor_values("gain_error"),
         )
 
-    def like(self, array: Array) -> Measurement:
+    def to(self, array: Array) -> Measurement:
         """Return this measurement in the library, precision and device of `array`."""
         names = ("resolution", "rounded", "scale", "rms", "offset", "gain_error")
         return replace(self, **{name: as_like(getattr(self, name), array) for name in names})

@@ -26,7 +26,7 @@ class ShapeAddresses:
         self._numbers: dict[EpisodeMotion, int] = {}
         self.entries = self._addresses()
 
-    def of(self, motions: Sequence[EpisodeMotion], used: Any) -> IntArray:
+    def numbers(self, motions: Sequence[EpisodeMotion], used: Any) -> IntArray:
         """Return the number of each motion's shape; numbers that are not `used` may be given again."""
         numbers = np.full(len(motions), ONES, dtype=np.int64)
         for i, motion in enumerate(motions):

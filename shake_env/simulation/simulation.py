@@ -32,7 +32,7 @@ from shake_env.simulation.engine import (
 )
 from shake_env.simulation.memory import check_memory
 from shake_env.simulation.motion_shapes import control_steps
-from shake_env.simulation.plant_batch import Fleet
+from shake_env.simulation.plant_batch import PlantBatch
 from shake_env.simulation.reference_engine import ReferenceEngine
 from shake_env.simulation.sensors import SensorMemory
 from shake_env.simulation.transition import TableModel
@@ -62,12 +62,12 @@ class Simulation:
         check_memory(scenario, lanes)
         self.scenario = scenario
         self.lanes = lanes
-        self.fleet = Fleet(scenario, lanes) if scenario.uncertainty.active else None
-        if self.fleet is None:
-            self.model = TableModel.of(scenario)
-            maps = GroundMaps.of(scenario.discrete, scenario.nonlinearity.yielding)
+        self.plant_batch = PlantBatch(scenario, lanes) if scenario.uncertainty.active else None
+        if self.plant_batch is None:
+            self.model = TableModel.from_scenario(scenario)
+            maps = GroundMaps.from_plant(scenario.discrete, scenario.nonlinearity.yielding)
         else:
-            self.model, maps = self.fleet.model, self.fleet.maps
+            self.model, maps = self.plant_batch.model, self.plant_batch.maps
         horizon, period = scenario.limits.cost_horizon, scenario.control_period
         self.tables = Tables(
             scenario=scenario,
@@ -173,11 +173,11 @@ class Simulation:
         given_states = [None] * len(lanes) if specimens is None else specimens
         yielding, stories = self.scenario.nonlinearity.yielding, self.scenario.specimen.stories
         initial = [None if s is None else s.initial(yielding, stories) for s in given_states]
-        if self.fleet is not None and draw:
-            self.fleet.draw(lanes, streams)
+        if self.plant_batch is not None and draw:
+            self.plant_batch.sample(lanes, streams)
             self.engine.redrawn(lanes)
             initial = [
-                own if state is not None else self.fleet.damage(lane)
+                own if state is not None else self.plant_batch.damage(lane)
                 for lane, state, own in zip(lanes, given_states, initial, strict=True)
             ]
         # A weak motion lowers what standing still costs, but not what braking a fast table does.
@@ -211,7 +211,7 @@ class Simulation:
         stacked = (None if column[0] is None else np.stack(column) for column in parts)
         return GroundPeriod(*stacked), np.stack(noise)
 
-    def breaking_cost(self, step_count: IntArray) -> FloatArray:
+    def termination_penalty(self, step_count: IntArray) -> FloatArray:
         """Return what breaking a limit costs (N,) in the period that makes `step_count` (N,) of them."""
         tables = self.tables
         remaining = np.minimum(np.maximum(self.episode_steps - step_count, 1), tables.limit_steps)
@@ -233,8 +233,8 @@ class Simulation:
         are arrays of objects: ``motion``, and ``plant_values`` of a drawn plant.
         """
         state = self.engine.get_state()
-        if self.fleet is not None:
-            state |= self.fleet.get_state()
+        if self.plant_batch is not None:
+            state |= self.plant_batch.get_state()
         if lanes is None:
             return state
         index = self._index(lanes)
@@ -266,8 +266,8 @@ class Simulation:
                 wanted = f"must be {own.dtype} of shape {(len(index), *own.shape[1:])}"
                 raise ScenarioError(f"state {name}", (str(given.dtype), given.shape), wanted)
             own[index] = given
-        if self.fleet is not None:
-            self.fleet.set_state(state, index.tolist())
+        if self.plant_batch is not None:
+            self.plant_batch.set_state(state, index.tolist())
             self.engine.redrawn(index.tolist())
         self.engine.set_state(whole)
 

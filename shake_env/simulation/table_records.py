@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from shake_env.dynamics.drawn_plants import rows_of
-from shake_env.dynamics.ground import GroundPeriod, Rows
+from shake_env.dynamics.ground import GroundPeriod, GroundRowLayout
 from shake_env.kernels.layout import ONES, ZEROS
 from shake_env.kernels.vectors import BLOCK
 from shake_env.model.parameters import FloatArray
@@ -57,7 +57,7 @@ class TableRecords:
         self.step_count, self.episode_steps = self._counters[:, :lanes]
         self.motions: list[EpisodeMotion] = [FilteredNoise()] * lanes
         self._shapes = ShapeAddresses(tables)
-        self._rows = Rows.of(tables.scenario.discrete)
+        self._rows = GroundRowLayout.from_plant(tables.scenario.discrete)
         self._fields("shape")[:] = ONES
         self._wholes[:, packed.rows["shape"]] = ONES
         for name, values in lane_rows(tables).items():
@@ -208,10 +208,10 @@ class TableRecords:
         known = np.zeros((self._tables.lanes, sizes["slots"], sizes["stride"]))
         known[:, :, : sizes["width"]] = state["known"]
         self._put("ring", known.reshape(self._tables.lanes, -1))
-        self.memory = SensorMemory.of(state)
+        self.memory = SensorMemory.from_state(state)
         self._put("severity", state["severity"][:, None])
         self.step_count[:], self.episode_steps[:] = state["step_count"], state["episode_steps"]
-        shapes = self._shapes.of(self.motions, set)
+        shapes = self._shapes.numbers(self.motions, set)
         self._put("shape", shapes[:, None], whole=True)
         self._wholes[:, rows["shape"]][self._wholes[:, rows["shape"]] == ZEROS] = ONES
         recorded = [isinstance(motion, RecordedMotion) for motion in self.motions]

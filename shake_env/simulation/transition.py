@@ -53,18 +53,18 @@ class TableModel:
     measurement: Measurement
 
     @classmethod
-    def of(cls, scenario: Scenario) -> TableModel:
+    def from_scenario(cls, scenario: Scenario) -> TableModel:
         """Return the model of a scenario, in numpy."""
         return _model(scenario)
 
-    def like(self, array: Array) -> TableModel:
+    def to(self, array: Array) -> TableModel:
         """Return this model in the library, precision and device of `array`."""
         cost = self.stage_cost
         if np.ndim(cost.force):  # one a table
             names = (field.name for field in fields(StageCost))
             cost = StageCost(*(as_like(getattr(cost, name), array) for name in names))
         return TableModel(
-            self.dynamics.like(array),
+            self.dynamics.to(array),
             cost,
             self.limits,
             self.current_limit,
@@ -72,7 +72,7 @@ class TableModel:
             self.filter_states,
             self.controlled,
             None if self.floor_rows is None else as_like(self.floor_rows, array),
-            self.measurement.like(array),
+            self.measurement.to(array),
         )
 
     def transition(self, state: Array, action: Array, ground: GroundPeriod) -> Outcome:
@@ -206,7 +206,7 @@ def _model(scenario: Scenario) -> TableModel:
         layout.filter_states,
         layout.controlled.stop - layout.controlled.start,
         floors_of(scenario),
-        Measurement.of(scenario),
+        Measurement.from_scenario(scenario),
     )
 
 
@@ -223,7 +223,7 @@ def dynamics_of(scenario: Scenario) -> TableDynamics | NonlinearDynamics:
     low_passes = scenario.observation.low_passes
     active = scenario.nonlinearity.active or scenario.uncertainty.active
     if active or scenario.delay or low_passes:
-        return NonlinearDynamics.of(
+        return NonlinearDynamics.from_plant(
             scenario.plant,
             scenario.parts,
             scenario.physics_step,
@@ -232,4 +232,4 @@ def dynamics_of(scenario: Scenario) -> TableDynamics | NonlinearDynamics:
             longest_delay=scenario.longest_delay,
             low_passes=low_passes,
         )
-    return TableDynamics.of(scenario.discrete)
+    return TableDynamics.from_plant(scenario.discrete)

@@ -14,7 +14,7 @@ import pytest
 from agents.evaluation import benchmark as bench
 from agents.evaluation import result_files
 from agents.policies.policy_file import load_policy
-from agents.reporting.markdown_blocks import put
+from agents.reporting.markdown_blocks import put_block
 from agents.run_directory import (
     BEST,
     CONFIG,
@@ -205,7 +205,7 @@ def test_only_regular_files_of_sane_size_are_read(tmp_path):
 def test_what_is_no_regular_file_is_called_what_it_is(tmp_path):
     """At every door: a result, a policy, a scenario file, tuned values, a page."""
     os.mkfifo(tmp_path / "fifo")
-    doors = (read_json, load_policy, read_scenario, read_tuned, lambda path: put(path, "a", "b"))
+    doors = (read_json, load_policy, read_scenario, read_tuned, lambda path: put_block(path, "a", "b"))
     for path, words in (
         (tmp_path, "is a folder"),
         (tmp_path / "fifo", "is a pipe or a device"),
@@ -312,9 +312,9 @@ def test_an_unfinished_run_stands_for_its_best_policy(tmp_path):
 def test_results_of_the_documentation_are_complete_and_others_are_named(tmp_path, request):
     folder = request.config.rootpath / "docs" / "results"
     for file in sorted(folder.glob("bench_*.json")):
-        assert bench.read_result(file)["scenario"] == file.stem.removeprefix("bench_")
+        assert bench.read_benchmark(file)["scenario"] == file.stem.removeprefix("bench_")
     assert len(result_files.read_results(folder)) > 3
-    result = bench.read_result(folder / "bench_linear.json")
+    result = bench.read_benchmark(folder / "bench_linear.json")
     for damage in (
         lambda r: r.pop("reference"),
         lambda r: r["rows"].clear(),
@@ -326,7 +326,7 @@ def test_results_of_the_documentation_are_complete_and_others_are_named(tmp_path
         damage(other)
         write_json(tmp_path / "bench_linear.json", other)
         with pytest.raises(FileError, match="no complete result of shake benchmark"):
-            bench.read_results(tmp_path)
+            bench.read_benchmarks(tmp_path)
     protocol = json.loads((folder / "evaluation_linear.json").read_text())
     protocol["episodes"].popitem()
     write_json(tmp_path / "evaluation_linear.json", protocol)

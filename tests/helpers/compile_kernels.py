@@ -60,7 +60,7 @@ def estimates():
     from shake_env import make_scenario
 
     scenario = make_scenario("laboratory")
-    filtered = ExtendedKalmanFilter.of(scenario)
+    filtered = ExtendedKalmanFilter.from_scenario(scenario)
     readings = np.zeros((1, scenario.observation.readings_count))
     filtered.advance(filtered.rest(1), np.zeros(1), readings, np.array([True]))
     law = NonlinearPredictiveControl(make_scenario("yielding"))

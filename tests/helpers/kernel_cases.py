@@ -55,7 +55,7 @@ def dynamics_of(parts, stories, substeps, delay, lanes=None):
         friction = replace(parts.friction, static=None, coulomb=rng.uniform(100.0, 300.0))
         drawn = replace(parts, friction=friction) if parts.friction.static is None else parts
         own.append(
-            NonlinearDynamics.of(
+            NonlinearDynamics.from_plant(
                 replace(scenario, actuator=actuator).plant,
                 drawn if lanes and parts.friction.active else parts,
                 1e-3,

@@ -20,8 +20,8 @@ EVERY_FAULT = "all"
 class Rehearse(FolderOptions):
     """Rehearse a test in real time: the simulated table and its controller as two processes over UDP.
 
-    The controller is the exported C program, or Python. Injected faults are survived by holding the last
-    command and then braking; they are counted and logged.
+    The controller is the exported C program, or Python. On an injected fault the table holds the last
+    command and then brakes; faults are counted and logged.
 
     Try:
       shake rehearse lqg --scenario laboratory --seconds 60
@@ -49,7 +49,7 @@ class Rehearse(FolderOptions):
     """Kinds of faults to inject: lost, late, duplicated, reordered, corrupt, "controller dies",
     "sensor sticks"; or all."""
     fault_rate: float = 0.01
-    """Share of datagrams that a fault befalls."""
+    """Share of datagrams with a fault."""
     hold: int = 2
     """Control periods for which the last command is held, before braking."""
     unpaced: Flag = False

@@ -48,7 +48,7 @@ class Calibrate(CommandOptions):
     controller: str = "none"
     """Drives the tests; none plays a band-limited noise of current."""
     shakes: int = 0
-    """Tests under lqg, drawn from the prior, that are held against a forecast made from it."""
+    """Tests under lqg, drawn from the prior, that are compared with a forecast made from it."""
     output: Path | None = None
     """JSON file for ranks and figures; data sets that it holds already are not made anew."""
     seed: int = 0

@@ -16,6 +16,7 @@ from agents.motions.channels import MotionOptions, motion_earthquakes
 from agents.progress import progress_by_name
 from agents.reporting.terminal import print_table
 from agents.scenario_options import ScenarioOptions
+from agents.seeds import FORECAST_SEED
 from shake_env.errors import ParameterError
 
 
@@ -29,7 +30,7 @@ class ForecastCommand(FolderOptions):
     Try:
       shake forecast test.toml --controllers lqg ilc
       shake forecast test.toml --motion record.at2 --controllers lqg tvc mine.safetensors
-      shake forecast test.toml --amplitudes 0.25 0.5 0.75 1 --keep 0.99
+      shake forecast test.toml --amplitudes 0.25 0.5 0.75 1 --required-probability 0.99
     """
 
     scenario: tyro.conf.Positional[str]
@@ -51,23 +52,30 @@ class ForecastCommand(FolderOptions):
     """Samples of the belief, each a table that is simulated."""
     probability: float = 0.9
     """Of the intervals."""
-    keep: float = 0.95
+    required_probability: float = 0.95
     """Probability with which every limit must be kept."""
     execution: Annotated[ExecutionOptions, tyro.conf.arg(name="")] = field(
         default_factory=ExecutionOptions
     )
-    seed: int = 7_000_000
+    seed: int = FORECAST_SEED
     """Seed of the first sample."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Forecast, print, write."""
         from agents.laboratory.forecasting.forecast import advice, forecast
-        from agents.laboratory.forecasting.page import cells, headings, to_json, write_page
+        from agents.laboratory.forecasting.page import (
+            forecast_cells,
+            forecast_headings,
+            forecast_to_json,
+            write_page,
+        )
         from agents.laboratory.identification.posterior import read_posterior
         from shake_env.files import write_json
 
-        if not 0.0 < self.keep < 1.0:
-            raise ParameterError("keep", self.keep, "must lie between 0 and 1")
+        if not 0.0 < self.required_probability < 1.0:
+            raise ParameterError(
+                "required_probability", self.required_probability, "must lie between 0 and 1"
+            )
         scenario = ScenarioOptions(self.scenario).build()
         if self.posterior is not None:
             scenario = replace(
@@ -95,8 +103,8 @@ class ForecastCommand(FolderOptions):
                 runner=runner,
                 on_progress=on_progress,
             )
-        chosen = advice(forecasts, self.keep)
-        print_table(console, headings(), [cells(each) for each in forecasts], names=2)
+        chosen = advice(forecasts, self.required_probability)
+        print_table(console, forecast_headings(), [forecast_cells(each) for each in forecasts], names=2)
         for each in forecasts:
             console.print(
                 f"{each.controller}, amplitude {each.amplitude:g}: {each.coupling}", soft_wrap=True
@@ -104,7 +112,7 @@ class ForecastCommand(FolderOptions):
         console.print(escape(f"Use {chosen.controller}: {chosen.reason}"), soft_wrap=True)
         result = {
             "scenario": scenario.name,
-            "forecasts": [to_json(each) for each in forecasts],
+            "forecasts": [forecast_to_json(each) for each in forecasts],
             "advice": asdict(chosen),
         }
         if folder is not None:

@@ -98,7 +98,7 @@ class Identify(FolderOptions):
 
 def describe(result: Any) -> dict[str, Any]:
     """Return an identification as plain JSON values."""
-    from agents.laboratory.identification.parameters import from_scale, parameter
+    from agents.laboratory.identification.parameters import find_parameter, from_scale
 
     fit, posterior = result.fit, result.posterior
     intervals, prior = posterior.interval(), fit.prior
@@ -109,7 +109,7 @@ def describe(result: Any) -> dict[str, Any]:
         rows.append(
             {
                 "name": name,
-                "unit": parameter(name).unit,
+                "unit": find_parameter(name).unit,
                 "value": posterior.mean[name],
                 "low": low,
                 "high": high,
@@ -124,7 +124,7 @@ def describe(result: Any) -> dict[str, Any]:
         "method": posterior.method,
         "seconds": fit.seconds,
         "parameters": rows,
-        "untold": [str(each) for each in result.untold],
+        "unidentified": [str(each) for each in result.unidentified],
         "discrepancy": dict(posterior.shares),
         "explained": explained,
         "logs": [list(pair) for pair in posterior.logs],
@@ -152,6 +152,8 @@ def print_identified(described: dict[str, Any], console: Console) -> None:
     if lacking:
         text = ", ".join(f"{name} {100 * share:.1f} %" for name, share in lacking.items())
         console.print(f"The model leaves out: {text} of the response.", highlight=False, soft_wrap=True)
-    for text in described["untold"]:
-        console.print(f"Not told by the logs: {text}", style="yellow", highlight=False, soft_wrap=True)
+    for text in described["unidentified"]:
+        console.print(
+            f"Not identified by the logs: {text}", style="yellow", highlight=False, soft_wrap=True
+        )
     console.print(f"{described['method']}, fit in {described['seconds']:.1f} s", highlight=False)

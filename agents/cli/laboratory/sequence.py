@@ -25,7 +25,7 @@ class SequenceCommand(CommandOptions):
 
     plan begins one in --folder. next forecasts the next shake and writes the scenario that its
     controller is designed on; a shake that the forecast calls unsafe is refused. close reads its log,
-    holds the forecast against it, and updates the belief. rehearse runs all of it on hidden plants.
+    compares the forecast with it, and updates the belief. rehearse runs all of it on hidden plants.
 
     Try:
       shake sequence plan --scenario test.toml --folder specimen-7 --controllers lqg tvc
@@ -46,7 +46,7 @@ class SequenceCommand(CommandOptions):
     """plan, rehearse: controllers that the forecasts choose from."""
     prior: Path | None = None
     """plan: first belief, a posterior.json or a TOML file of medians and factors."""
-    keep: float = 0.95
+    required_probability: float = 0.95
     """plan: probability with which every limit must be kept."""
     samples: int = 200
     """plan, rehearse: samples of each forecast."""
@@ -63,7 +63,7 @@ class SequenceCommand(CommandOptions):
     truths: int = 3
     """rehearse: number of hidden plants."""
     well_specified: Flag = False
-    """rehearse: draw them from the prior, not from a wider world than the model."""
+    """rehearse: draw them from the prior, not from a wider class of plants."""
     discrepancy: bool = True
     """close, rehearse: whether an error of the model is estimated."""
     output: Path | None = None
@@ -84,23 +84,23 @@ class SequenceCommand(CommandOptions):
 
     def _plan(self, console: Console) -> dict[str, Any]:
         from agents.laboratory.identification.identify import read_prior
-        from agents.laboratory.sequence.steps import plan
+        from agents.laboratory.sequence.steps import plan_sequence
 
         scenario = ScenarioOptions(self.scenario).build()
-        plan(
+        plan_sequence(
             self.folder,
             scenario,
             amplitudes=self.amplitudes,
             controllers=self.controllers,
             prior=None if self.prior is None else read_prior(self.prior, scenario),
-            keep=self.keep,
+            required_probability=self.required_probability,
             samples=self.samples,
             seed=self.seed,
         )
         return self._status(console)
 
     def _next(self, console: Console) -> dict[str, Any]:
-        from agents.laboratory.forecasting.page import cells, headings
+        from agents.laboratory.forecasting.page import forecast_cells, forecast_headings
         from agents.laboratory.sequence.state import read_sequence
         from agents.laboratory.sequence.steps import next_shake
 
@@ -109,7 +109,7 @@ class SequenceCommand(CommandOptions):
             sequence, forecasts = next_shake(
                 sequence, override=self.override, runner=runner, on_progress=on_progress
             )
-        print_table(console, headings(), [cells(each) for each in forecasts], names=2)
+        print_table(console, forecast_headings(), [forecast_cells(each) for each in forecasts], names=2)
         where = self.folder / f"shake_{sequence.number + 1}"
         number, controller = sequence.number + 1, sequence.next.controller
         text = f"Shake {number}: use {controller}, designed on {where}/test.toml"
@@ -142,8 +142,8 @@ class SequenceCommand(CommandOptions):
             verdict = "inside" if last.inside.get(name) else "outside"
             rows.append((name, f"{value:.4g}", f"{low:.4g} to {high:.4g}", verdict))
         print_table(console, ("figure", "measured", "forecast", ""), rows, left=(2, 3))
-        for each in result.untold:
-            console.print(f"Not told by the log: {each}", highlight=False, soft_wrap=True)
+        for each in result.unidentified:
+            console.print(f"Not identified by the log: {each}", highlight=False, soft_wrap=True)
         return self._status(console)
 
     def _status(self, console: Console) -> dict[str, Any]:
@@ -171,7 +171,7 @@ class SequenceCommand(CommandOptions):
 
     def _rehearse(self, console: Console) -> dict[str, Any]:
         from agents.laboratory.result_files import ResultFile
-        from agents.laboratory.sequence.rehearsal import Rehearsal, rehearse, summary
+        from agents.laboratory.sequence.rehearsal import Rehearsal, rehearsal_summary, rehearse_sequences
 
         if self.truths < 1:
             raise ParameterError("truths", self.truths, "must be at least 1")
@@ -188,7 +188,7 @@ class SequenceCommand(CommandOptions):
             require_writable_file(self.output, "output")
         file = ResultFile(self.output, "shake sequence rehearse", scenario, options)
         with self.execution.open_runner() as runner, progress_by_name() as on_progress:
-            rehearsals = rehearse(
+            rehearsals = rehearse_sequences(
                 scenario,
                 truths=self.truths,
                 runner=runner,
@@ -197,7 +197,7 @@ class SequenceCommand(CommandOptions):
                 on_progress=on_progress,
                 **options,
             )
-        result = summary(rehearsals)
+        result = rehearsal_summary(rehearsals)
         names = ("coverage", "error_over_informed", "error_over_nominal", "limits_broken", "overridden")
         for name in names:
             console.print(f"{name}: {result[name]}", highlight=False)

@@ -19,11 +19,11 @@ from agents.scenario_options import ScenarioOptions
 
 @dataclass(frozen=True, kw_only=True)
 class GradientNoiseCommand(CommandOptions):
-    """Measure how much of a score-function gradient is signal, paired and unpaired.
+    """Measure the signal-to-noise ratio of policy-gradient estimators, paired and unpaired.
 
-    A policy explores about a base controller. Each estimator of the gradient stands beside the exact
-    one: the share of an advantage that one action explains, the cosine of the two directions, and the
-    samples after which signal and noise along the exact gradient are equal.
+    A policy explores around a base controller. Each estimator of the gradient is compared with the exact
+    gradient: the share of an advantage that one action explains, the cosine of the two directions, and
+    the samples after which signal and noise along the exact gradient are equal.
 
     Try:
       shake gradient-noise --scenario laboratory
@@ -37,7 +37,7 @@ class GradientNoiseCommand(CommandOptions):
     """What an action of 1 adds to it, as a fraction of the current limit."""
     log_std: float = -3.0
     """Log of the exploration's standard deviation, relative to that."""
-    tables: int = 64
+    n_envs: int = 64
     """Tables side by side."""
     rollouts: int = 12
     """Roll-outs of 256 control periods of each."""
@@ -56,7 +56,7 @@ class GradientNoiseCommand(CommandOptions):
             base_controller=self.base_controller,
             residual_scale=self.residual_scale,
             log_std=self.log_std,
-            tables=self.tables,
+            n_envs=self.n_envs,
             rollouts=self.rollouts,
         )
         with progress_bar() as bar:

@@ -21,7 +21,7 @@ class PlotComponents(FolderOptions):
     """
 
     def run(self, console: Console) -> dict[str, Any]:
-        """Put the parts on their bench, print, draw."""
+        """Simulate the components, print, draw."""
         from agents.studies.components.bench import ComponentSetup
         from agents.studies.components.run import components, print_numbers
 

@@ -46,7 +46,7 @@ class ValidateTransients(FolderOptions):
     def run(self, console: Console) -> dict[str, Any]:
         """Validate, and say what is being done."""
         from agents.studies.validation.run import validate
-        from agents.studies.validation.tables import print_tables
+        from agents.studies.validation.tables import print_validation
 
         if self.num_noise_motions < 0:
             raise ParameterError("num_noise_motions", self.num_noise_motions, "must be at least 0")
@@ -58,7 +58,7 @@ class ValidateTransients(FolderOptions):
         validation: dict[str, Any] = validate(
             linear, folder, progress=display.note, noise=self.num_noise_motions
         )
-        print_tables(validation, console)
+        print_validation(validation, console)
         if folder is not None:
             console.print(f"wrote {folder}")
         return validation

@@ -38,7 +38,7 @@ class ExportedTable:
                 "sensing", "full state", "an exported table gives readings: name sensors"
             )
         self._scenario, self._simulation = scenario, simulation
-        self._model = TableModel.of(scenario)
+        self._model = TableModel.from_scenario(scenario)
         self._program = CompiledProgram(plant_program(scenario))
         self.begin()
 

@@ -100,7 +100,7 @@ class FaultyLink:
     _order: count[int] = field(default_factory=count)
 
     def send(self, period: int, data: bytes, now: float) -> str:
-        """Send the measurement of a period; return the fault that befell it, or nothing."""
+        """Send the measurement of a period; return its fault, or nothing."""
         fault = self.faults.get((period, "measurement"), "")
         for each in self._pass(fault, data, "measurement", now):
             self.endpoint.sendto(each, self.peer)
@@ -112,9 +112,9 @@ class FaultyLink:
             self.endpoint.sendto(each, self.peer)
 
     def received(self, period: int, data: bytes, now: float) -> tuple[list[bytes], str]:
-        """Return what comes of a command that has arrived in a period, and the fault that befell it.
+        """Return what becomes of a command that has arrived in a period, and its fault.
 
-        Faults befall a command in its own period; one that comes too late by itself passes.
+        A command has the faults of its own period; one that is late by itself passes.
         """
         given = unpack(data)
         own = given is not None and given.sequence == period

@@ -40,7 +40,7 @@ class HoldThenBrake:
         self._law = braking_law(self.scenario)
         shown = self.scenario.observation
         known = shown.sensing.full_state or all(name in shown.reading_names for name in STATE_SIGNALS)
-        self._channels = Channels.of(self.scenario) if known else None
+        self._channels = Channels.from_scenario(self.scenario) if known else None
         if self._channels is None and "table_displacement" not in shown.reading_names:
             raise ScenarioError(
                 "sensing", shown.reading_names, "braking needs the table's displacement: add its sensor"

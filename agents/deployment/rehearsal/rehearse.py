@@ -12,7 +12,7 @@ from agents.deployment.rehearsal.controller_process import Runs, start_controlle
 from agents.deployment.rehearsal.faults import CONTROLLER_DIES, SENSOR_STICKS, draw_faults
 from agents.deployment.rehearsal.log import draw_timing, recorded_log, write_periods
 from agents.deployment.rehearsal.table import Rehearsal, TableProcess
-from agents.laboratory.logs.hdf5_file import library
+from agents.laboratory.logs.hdf5_file import import_library
 from agents.laboratory.logs.log_file import write_log
 from shake_env.errors import ParameterError
 from shake_env.motion.targets import FilteredNoise
@@ -80,7 +80,7 @@ def rehearse(
         If logs are to be written and h5py is missing.
     """
     if folder is not None:
-        library("h5py")
+        import_library("h5py")
     earthquakes = _earthquakes(scenario, plan)
     periods = None if plan.seconds is None else round(plan.seconds / scenario.control_period)
     process = start_controller(name, scenario, plan.runs, plan.supervised)

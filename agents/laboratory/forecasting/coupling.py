@@ -1,9 +1,9 @@
 """When the coupled actuator, structure and controller must be modelled in the analysis of a test's data.
 
 An analysis that takes the table for rigid takes the target for the motion of the base. The error of the
-specimen's response that the table made, ``e = f_s - f~_s``, it then puts down to the specimen: as far as
-other masses, stiffnesses and dampings would make the same error. That part is the projection of e on the
-sensitivities of the reference's base shear.
+specimen's response that the table made, ``e = f_s - f~_s``, it then attributes to the specimen: as far
+as other masses, stiffnesses and dampings would make the same error. That part is the projection of e on
+the sensitivities of the reference's base shear.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ STEP = 1e-3  # of a parameter, relative
 
 @dataclass(frozen=True)
 class Coupling:
-    """What a rigid-table analysis would put down to the specimen."""
+    """What a rigid-table analysis would attribute to the specimen."""
 
     share: float  # of the squared error of the response, median [-]
     error: float  # rms of that part over the response's, 95 % of the samples are below it [-]
@@ -44,7 +44,7 @@ class Coupling:
 
 
 def coupling(scenario: Scenario, amplitude: float, outcomes: Outcomes) -> Coupling:
-    """Return what a rigid-table analysis of N tests would put down to the specimen.
+    """Return what a rigid-table analysis of N tests would attribute to the specimen.
 
     Sensitivities are those of the linear specimen at the scenario's nominal values. Of filtered noise,
     whose samples have motions of their own, those to the nominal reference are taken from a delay-free

@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from agents.laboratory.forecasting.forecast import FIRST_SEED, forecast
+from agents.laboratory.forecasting.forecast import forecast
 from agents.laboratory.forecasting.quantities import UNITS
+from agents.seeds import COVERAGE_SEED, FORECAST_SEED
 from shake_env.scenario.scenario import Scenario
-
-OTHER_SEEDS = 1_000_000  # between the seeds of the forecast's samples and those of the tests
 
 
 def forecast_coverage(
@@ -43,9 +42,9 @@ def forecast_coverage(
             (controller,),
             samples=number,
             probability=probability,
-            seed=FIRST_SEED + seed + first,
+            seed=first + seed,
         )[0].outcomes
-        for number, first in ((samples, 0), (shakes, OTHER_SEEDS))
+        for number, first in ((samples, FORECAST_SEED), (shakes, COVERAGE_SEED))
     )
     tail = 0.5 - 0.5 * probability
     shares = {}

@@ -15,19 +15,19 @@ import numpy as np
 
 from agents.execution.units import Unit, UnitRunner, report
 from agents.laboratory.forecasting.coupling import Coupling, coupling
-from agents.laboratory.forecasting.quantities import UNITS, OutcomeRecorder, Outcomes, beyond
+from agents.laboratory.forecasting.quantities import UNITS, OutcomeRecorder, Outcomes, beyond_limits
 from agents.policies.own_controller import is_own_controller, own_source
 from agents.policies.registry import find_controller, get_controller
+from agents.seeds import FORECAST_SEED
 from shake_env.errors import ParameterError, ScenarioError
 from shake_env.model.parameters import FloatArray
 from shake_env.motion.targets import MotionSet
-from shake_env.rollout import Earthquake, begin, run
+from shake_env.rollout import Earthquake, begin_rollout, run_rollout
 from shake_env.scenario.plants.samples import PlantSamples
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty
 from shake_env.simulation.engine import BoolArray
 
-FIRST_SEED = 7_000_000  # of the samples of a forecast; a lane's seed fixes its plant and its noise
 BATCH = 250  # tables of a batch
 # The channel whose share of model error a quantity has: the first of these that is measured.
 FORCES = ("base_shear", "floor_acceleration_1", "load_pressure", "table_acceleration")
@@ -69,7 +69,7 @@ class Forecast:
         return band
 
 
-def prepared(scenario: Scenario) -> Scenario:
+def centred_scenario(scenario: Scenario) -> Scenario:
     """Return the scenario at the middle of what is drawn, where that is samples.
 
     Raises
@@ -97,16 +97,16 @@ def run_batch(scenario: Scenario, name: str, amplitude: float, seeds: Sequence[i
     A method that repeats its tests does so on each sample. `amplitude` is a factor on the scenario's
     own motion.
     """
-    assert not isinstance(scenario.motion, MotionSet)  # `prepared` refuses it
+    assert not isinstance(scenario.motion, MotionSet)  # `centred_scenario` refuses it
     motion = replace(scenario.motion, amplitude=amplitude * scenario.motion.amplitude)
     quakes = [Earthquake(f"sample {seed}", motion, seed) for seed in seeds]
     if find_controller(name).needs_earthquakes:
         controller = get_controller(name, scenario, quakes)
     else:  # the laboratory designs it on the middle of the samples, as one plant
         controller = get_controller(name, design_of(scenario))
-    simulation, observation = begin(scenario, quakes)
+    simulation, observation = begin_rollout(scenario, quakes)
     recorder = OutcomeRecorder(scenario, len(quakes), drifts=simulation.first_drifts)
-    run(controller, simulation, observation, [recorder], report)
+    run_rollout(controller, simulation, observation, [recorder], report)
     return vars(recorder.outcomes())
 
 
@@ -117,7 +117,7 @@ def forecast(
     amplitudes: Sequence[float] = (1.0,),
     samples: int = 500,
     probability: float = 0.9,
-    seed: int = FIRST_SEED,
+    seed: int = FORECAST_SEED,
     runner: UnitRunner | None = None,
     on_progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> list[Forecast]:
@@ -150,7 +150,7 @@ def forecast(
         If a controller does not suit the scenario, or nothing is uncertain.
     """
     _check(scenario, controllers, amplitudes, samples, probability)
-    scenario = prepared(scenario)
+    scenario = centred_scenario(scenario)
     for name in controllers:
         find_controller(name)
     count = math.ceil(samples / BATCH)
@@ -169,27 +169,27 @@ def forecast(
     ]
     shares = dict.fromkeys(range(len(units)), 0.0)
 
-    def told(index: int, share: float) -> None:
+    def on_share(index: int, share: float) -> None:
         shares[index] = share
         name = jobs[index][0]
         own = [shares[i] for i, job in enumerate(jobs) if job[0] == name]
         on_progress(name, sum(own) / len(own))
 
-    done = [Outcomes(**fields) for fields in (runner or UnitRunner()).run(units, told)]
+    done = [Outcomes(**fields) for fields in (runner or UnitRunner()).run(units, on_share)]
     result = []
     for number in range(0, len(jobs), count):
         name, amplitude, _ = jobs[number]
         outcomes = Outcomes.joined([done[number + i] for i in range(count)])
-        result.append(made(scenario, name, amplitude, outcomes, probability, seed))
+        result.append(forecast_of_outcomes(scenario, name, amplitude, outcomes, probability, seed))
     return result
 
 
-def made(
+def forecast_of_outcomes(
     scenario: Scenario, name: str, amplitude: float, outcomes: Outcomes, probability: float, seed: int
 ) -> Forecast:
     """Return the forecast of outcomes, with the error of the model that the scenario's samples know."""
     wider = with_model_error(outcomes, scenario, np.random.default_rng(seed))
-    broken = outcomes.broken | beyond(wider.values, scenario.limits)
+    broken = outcomes.broken | beyond_limits(wider.values, scenario.limits)
     attributed = coupling(scenario, amplitude, outcomes)
     return Forecast(name, amplitude, wider, broken, attributed, probability)
 
@@ -290,4 +290,4 @@ def _check(
         )
 
 
-__all__ = ["UNITS", "Advice", "Forecast", "advice", "forecast", "prepared", "run_batch"]
+__all__ = ["UNITS", "Advice", "Forecast", "advice", "centred_scenario", "forecast", "run_batch"]

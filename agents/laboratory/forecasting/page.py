@@ -33,7 +33,7 @@ _STYLE = (
 )
 
 
-def cells(forecast: Forecast) -> list[str]:
+def forecast_cells(forecast: Forecast) -> list[str]:
     """Return the cells of a forecast's row."""
     row = [forecast.controller, f"{forecast.amplitude:g}"]
     for quantity, _, factor in COLUMNS:
@@ -43,7 +43,7 @@ def cells(forecast: Forecast) -> list[str]:
     return [*row, f"{forecast.limit_probability:.3f}", coupled]
 
 
-def headings() -> list[str]:
+def forecast_headings() -> list[str]:
     """Return the headings of the table."""
     titles = [title for _, title, _ in COLUMNS]
     return ["controller", "amplitude", *titles, "P(limit)", "model the coupled system"]
@@ -58,10 +58,10 @@ def write_page(
     interval = f"{100 * forecasts[0].probability:g} %"
     number = len(forecasts[0].broken)
     rows = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells(each)) + "</tr>\n"
+        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in forecast_cells(each)) + "</tr>\n"
         for each in forecasts
     )
-    head = "".join(f"<th>{escape(name)}</th>" for name in headings())
+    head = "".join(f"<th>{escape(name)}</th>" for name in forecast_headings())
     notes = "".join(f"<li>{_test(each)}: {escape(str(each.coupling))}.</li>" for each in forecasts)
     spectra = "".join(
         f"<li>{_test(each)}: {escape(', '.join(_ordinates(each)))}</li>" for each in forecasts
@@ -125,7 +125,7 @@ def _band(panel: Any, time: Any, band: Any, label: str) -> None:
     panel.plot(time, band[1], label=label, **style)
 
 
-def to_json(forecast: Forecast) -> dict[str, Any]:
+def forecast_to_json(forecast: Forecast) -> dict[str, Any]:
     """Return a forecast as plain JSON values: low end, median and high end of each quantity."""
     quantities = [*UNITS, *forecast.outcomes.measured]
     return {

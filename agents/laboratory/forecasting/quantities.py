@@ -190,7 +190,7 @@ class OutcomeRecorder:
         return Outcomes(values, measured, self.broken.copy(), time, shear, reference, drift)
 
 
-def beyond(values: dict[str, FloatArray], limits: Limits) -> BoolArray:
+def beyond_limits(values: dict[str, FloatArray], limits: Limits) -> BoolArray:
     """Return whether any limited quantity (N,) lies beyond its limit."""
     over = np.zeros(len(next(iter(values.values()))), dtype=bool)
     for quantity, field in LIMITED.items():

@@ -12,7 +12,7 @@ from scipy.stats import kstest
 
 from agents.evaluation.perturbations import observation_rescaling
 from agents.laboratory.identification.identify import identify
-from agents.laboratory.identification.parameters import Prior, default_prior, from_scale, plants
+from agents.laboratory.identification.parameters import Prior, default_prior, from_scale, plants_at
 from agents.laboratory.logs.recorder import LogRecorder
 from agents.laboratory.logs.test_log import TestLog
 from baselines.batch_controllers import Rescaled
@@ -98,10 +98,12 @@ def calibrate(
         rows.append(row)
         on_row(rows)
         on_progress("calibration", len(rows) / data_sets)
-    return summary(prior.names, rows, samples)
+    return calibration_summary(prior.names, rows, samples)
 
 
-def summary(names: Sequence[str], rows: Sequence[Mapping[str, Any]], samples: int) -> dict[str, Any]:
+def calibration_summary(
+    names: Sequence[str], rows: Sequence[Mapping[str, Any]], samples: int
+) -> dict[str, Any]:
     """Return the figures of data sets, whose rows `calibrate` made, as plain JSON values.
 
     Parameters
@@ -164,7 +166,7 @@ def data_set(
     truth = None
     while truth is None:
         point = prior.draw(1, stream)
-        (truth,) = plants(plain, prior.names, point)
+        (truth,) = plants_at(plain, prior.names, point)
     quake = [Earthquake("noise", motion, int(stream.integers(2**31)))]
     recorder = LogRecorder(plain, quake, plant=truth)
     driver: Any = NoiseCurrent(int(stream.integers(2**31)), round(seconds * plain.control_rate))

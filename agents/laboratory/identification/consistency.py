@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from agents.laboratory.identification.fit import Fit
-from agents.laboratory.identification.prediction import predicted
+from agents.laboratory.identification.prediction import predict_response
 from agents.laboratory.logs.test_log import CURRENT, TARGET, TestLog
 from shake_env.errors import LogError
 from shake_env.model.parameters import FloatArray
@@ -62,7 +62,7 @@ def require_explained(fit: Fit) -> None:
             continue
         # The prior's table: a fit to channels that are not what they say leads anywhere.
         model = fit.likelihood.scenario
-        readings = predicted([model], each.log.channels[CURRENT], each.channels).readings[0]
+        readings = predict_response([model], each.log.channels[CURRENT], each.channels).readings[0]
         words = []
         for name in poor:
             measured = each.log.channels[name]

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from agents.laboratory.identification.prediction import predicted
+from agents.laboratory.identification.prediction import predict_response
 from agents.laboratory.logs.test_log import CURRENT, TARGET, TestLog
 from shake_env.dynamics.yielding_reference import YieldingReference
 from shake_env.model.parameters import FloatArray, stacked
@@ -49,14 +49,14 @@ def _damage(scenarios: Sequence[Scenario], logs: Sequence[TestLog]) -> list[Spec
         first.ground,
         first.equations,
     )
-    reference = YieldingReference.of(plant, yielding, first.physics_step)
+    reference = YieldingReference.from_plant(plant, yielding, first.physics_step)
     # The law is homogeneous: at a target and drifts measured in its yield drift every lane has the same.
     unit = yielding.yield_drift / np.array([s.nonlinearity.yielding.yield_drift for s in scenarios])
     slip: FloatArray = np.zeros((number, stories))
     held = np.zeros((number, 3 * stories))
     energies = np.zeros((2, number))
     for log in logs:
-        prediction = predicted(scenarios, log.channels[CURRENT], (), slip)
+        prediction = predict_response(scenarios, log.channels[CURRENT], (), slip)
         slip = prediction.slip
         energies[0] += np.maximum(prediction.energy, 0.0)
         start = np.concatenate([held[:, :stories], 0.0 * slip, held[:, 2 * stories :]], axis=1)

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from agents.laboratory.identification.laplace import Laplace, laplace
 from agents.laboratory.identification.likelihood import Likelihood
-from agents.laboratory.identification.parameters import Prior, from_scale, within
+from agents.laboratory.identification.parameters import Prior, clip_delays, from_scale
 from shake_env.model.parameters import FloatArray
 
 DRAWS = 96  # of the prior, beside its mean: the search begins at the best of them
@@ -142,7 +142,7 @@ def _search(likelihood: Likelihood, prior: Prior, start: FloatArray) -> Fit:
         key = white.tobytes()
         if key not in last:
             points = prior.mean + (white + steps) @ factor.T
-            rows = likelihood.residuals(within(prior.names, points))
+            rows = likelihood.residuals(clip_delays(prior.names, points))
             slopes = (rows[1 : p + 1] - rows[p + 1 :]).T / (2.0 * STEP)
             last.clear()
             last[key] = np.concatenate([rows[0], white]), np.concatenate([slopes, np.eye(p)])
@@ -155,7 +155,7 @@ def _search(likelihood: Likelihood, prior: Prior, start: FloatArray) -> Fit:
     )  # fmt: skip
     slopes = both(result.x)[1]
     covariance = factor @ np.linalg.inv(slopes.T @ slopes) @ factor.T
-    mode = within(prior.names, prior.mean + factor @ result.x)
+    mode = clip_delays(prior.names, prior.mean + factor @ result.x)
     covariance = 0.5 * (covariance + covariance.T)
     normal = Laplace(prior.names, mode, np.zeros(p), covariance, False)
     return Fit(likelihood, prior, mode, covariance, float(result.cost), normal, 0.0)

@@ -1,4 +1,4 @@
-"""Identification as one call: logs and files in, fit, posterior and what is not told out."""
+"""Identification as one call: from logs and files to fit, posterior and unidentified parameters."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ import numpy as np
 
 from agents.laboratory.identification.consistency import require_explained
 from agents.laboratory.identification.fit import Fit, fit
-from agents.laboratory.identification.identifiability import Untold, untold
+from agents.laboratory.identification.identifiability import Unidentified, unidentified
 from agents.laboratory.identification.likelihood import Likelihood, LogData
-from agents.laboratory.identification.parameters import LINEAR, Prior, default_prior, parameter
+from agents.laboratory.identification.parameters import LINEAR, Prior, default_prior, find_parameter
 from agents.laboratory.identification.posterior import Posterior, read_posterior
-from agents.laboratory.identification.sampler import sample
+from agents.laboratory.identification.sampler import sample_posterior
 from agents.laboratory.logs.test_log import CURRENT, TestLog, require_same_test
 from shake_env.errors import LogError, ParameterError, unknown
 from shake_env.files import no_file
@@ -33,7 +33,7 @@ class Identified:
 
     fit: Fit
     posterior: Posterior
-    untold: list[Untold]
+    unidentified: list[Unidentified]
 
 
 def identify(
@@ -65,7 +65,7 @@ def identify(
         Logs of tests that the specimen bore before these, which are in the prior: where storeys yield,
         the specimen begins with what they left.
     without, band
-        Channels that are left out, and the frequencies [Hz] that are fitted; see `LogData.of`.
+        Channels that are left out, and the frequencies [Hz] that are fitted; see `LogData.from_log`.
     discrepancy
         Whether what the model lacks is estimated.
     samples
@@ -84,12 +84,12 @@ def identify(
         at all.
     """
     prior = default_prior(scenario) if prior is None else prior
-    data = [LogData.of(log, scenario, without, band) for log in logs]
+    data = [LogData.from_log(log, scenario, without, band) for log in logs]
     if not data:
         raise LogError("logs", 0, "give at least one")
     plain = replace(scenario, uncertainty=type(Scenario().uncertainty)())
     result = fit(
-        Likelihood.of(plain, prior.names, data, [log.channels[CURRENT] for log in earlier]),
+        Likelihood.from_data(plain, prior.names, data, [log.channels[CURRENT] for log in earlier]),
         prior,
         discrepancy=discrepancy,
         seed=seed,
@@ -97,13 +97,13 @@ def identify(
     )
     require_explained(result)
     if sampler_seconds > 0.0 or sampler_moves is not None:
-        posterior = sample(
+        posterior = sample_posterior(
             result, samples=samples, seconds=sampler_seconds, moves=sampler_moves, seed=seed,
             on_progress=lambda share: on_progress("sampler", share),
         )  # fmt: skip
     else:
-        posterior = Posterior.of_fit(result, samples, seed)
-    return Identified(result, posterior, untold(result))
+        posterior = Posterior.from_fit(result, samples, seed)
+    return Identified(result, posterior, unidentified(result))
 
 
 def model_of(
@@ -193,13 +193,13 @@ def read_prior(file: str | os.PathLike[str], scenario: Scenario) -> Prior:
     if names is not None and not (isinstance(names, list) and all(isinstance(n, str) for n in names)):
         raise ParameterError(f"{file}, parameters", names, "must be a list of names")
     for name in names or ():
-        parameter(name)
+        find_parameter(name)
     given = {name: _given(name, entry, f"{file}, {name}", scenario) for name, entry in content.items()}
     return default_prior(scenario, names, given)
 
 
 def _given(name: str, entry: Any, place: str, scenario: Scenario) -> tuple[float, float]:
-    unit = parameter(name).unit
+    unit = find_parameter(name).unit
     middle, width = ("mean", "deviation") if name in LINEAR else ("median", "factor")
     if not isinstance(entry, dict) or middle not in entry or width not in entry:
         raise ParameterError(place, entry, f"must be a table with {middle} and {width}")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agents.laboratory.identification.parameters import LINEAR, Prior, within
+from agents.laboratory.identification.parameters import LINEAR, Prior, clip_delays
 from shake_env.model.parameters import FloatArray
 
 TRIALS = 96  # draws that the two kinds of coordinates are judged by
@@ -50,7 +50,7 @@ class Laplace:
     def possible(self, z: FloatArray) -> FloatArray:
         """Return whether (N,) all values are above zero, and delays not below."""
         points = self.points(z)
-        possible: FloatArray = np.all(points >= within(self.names, points), axis=1)
+        possible: FloatArray = np.all(points >= clip_delays(self.names, points), axis=1)
         return possible
 
     def density_of(self, log_posterior: Density) -> Density:

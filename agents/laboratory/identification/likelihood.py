@@ -19,8 +19,8 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize_scalar
 
-from agents.laboratory.identification.parameters import plants, within
-from agents.laboratory.identification.prediction import predicted
+from agents.laboratory.identification.parameters import clip_delays, plants_at
+from agents.laboratory.identification.prediction import predict_response
 from agents.laboratory.logs.findings import require_sound
 from agents.laboratory.logs.test_log import CURRENT, TestLog
 from shake_env.errors import LogError
@@ -47,7 +47,7 @@ class LogData:
     inside: BoolArray  # (coefficients,) within the band that is fitted
 
     @classmethod
-    def of(
+    def from_log(
         cls,
         log: TestLog,
         scenario: Scenario,
@@ -83,7 +83,7 @@ class LogData:
         if not channels:
             raise LogError(f"{log.name}, channels", log.measured, "leave at least one in")
         readings = np.stack([log.channels[name] for name in channels], axis=-1)
-        coefficients = fourier(readings)
+        coefficients = fourier_coefficients(readings)
         frequency = np.repeat(np.fft.rfftfreq(log.samples, log.sampling_interval)[1:], 2)
         low, high = (0.0, math.inf) if band is None else band
         width = max(1, round(BAND * log.duration) * 2 + 1)
@@ -107,11 +107,11 @@ def slip_after(scenarios: Sequence[Scenario], currents: Sequence[FloatArray]) ->
     slip = None
     if scenarios and scenarios[0].nonlinearity.yielding.active:
         for current in currents:
-            slip = predicted(scenarios, current, (), slip).slip
+            slip = predict_response(scenarios, current, (), slip).slip
     return slip
 
 
-def fourier(signals: FloatArray) -> FloatArray:
+def fourier_coefficients(signals: FloatArray) -> FloatArray:
     """Return orthonormal real Fourier coefficients (..., samples - 1, c) of signals (..., samples, c).
 
     Without the mean; real and imaginary parts take turns, by rising frequency. White noise has its own
@@ -152,7 +152,7 @@ class Likelihood:
     earlier: tuple[FloatArray, ...] = ()
 
     @classmethod
-    def of(
+    def from_data(
         cls,
         scenario: Scenario,
         names: Sequence[str],
@@ -181,7 +181,7 @@ class Likelihood:
 
         They are not numbers where a point is outside of what the model can be.
         """
-        tables = plants(self.scenario, self.names, within(self.names, points))
+        tables = plants_at(self.scenario, self.names, clip_delays(self.names, points))
         possible = [table for table in tables if table is not None]
         places = np.array([i for i, table in enumerate(tables) if table is not None], dtype=int)
         errors_of_logs = [np.full((len(tables), *each.coefficients.shape), np.nan) for each in self.data]
@@ -190,8 +190,8 @@ class Likelihood:
             slip = slip_after(possible[chunk], self.earlier)
             for each, errors in zip(self.data, errors_of_logs, strict=True):
                 current = each.log.channels[CURRENT]
-                prediction = predicted(possible[chunk], current, each.channels, slip)
-                errors[places[chunk]] = each.coefficients - fourier(prediction.readings)
+                prediction = predict_response(possible[chunk], current, each.channels, slip)
+                errors[places[chunk]] = each.coefficients - fourier_coefficients(prediction.readings)
                 slip = prediction.slip  # the specimen of the next log bore this one
         return errors_of_logs
 

@@ -68,7 +68,7 @@ _SPECIMEN = {
 LINEAR = ("delay",)  # estimated on their own scale
 
 
-def parameter(name: str) -> Parameter:
+def find_parameter(name: str) -> Parameter:
     """Return a parameter by its name.
 
     Raises
@@ -158,10 +158,10 @@ class Prior:
         """Return `number` draws (number, p) on the parameters' scales, delays not below zero."""
         factor = np.linalg.cholesky(self.covariance)
         drawn = self.mean + stream.standard_normal((number, len(self.names))) @ factor.T
-        return within(self.names, drawn)
+        return clip_delays(self.names, drawn)
 
 
-def within(names: Sequence[str], points: FloatArray) -> FloatArray:
+def clip_delays(names: Sequence[str], points: FloatArray) -> FloatArray:
     """Return points (..., p) with delays not below zero."""
     least = np.array([0.0 if name in LINEAR else -math.inf for name in names])
     limited: FloatArray = np.maximum(points, least)
@@ -180,7 +180,7 @@ def from_scale(names: Sequence[str], points: FloatArray) -> FloatArray:
     return values
 
 
-def plants(scenario: Scenario, names: Sequence[str], points: FloatArray) -> list[Scenario | None]:
+def plants_at(scenario: Scenario, names: Sequence[str], points: FloatArray) -> list[Scenario | None]:
     """Return the scenario with each of N points (N, p) on the parameters' scales.
 
     None where a value is outside its range, or the physics step does not resolve the plant: such a
@@ -217,7 +217,7 @@ def default_prior(
     names = parameter_names(scenario) if names is None else tuple(names)
     nominal, median, spread = nominal_values(scenario), {}, {}
     for name in names:
-        about = parameter(name)
+        about = find_parameter(name)
         median[name], spread[name] = nominal.get(name, 0.0), about.spread
         if name == "leakage" and nominal[name] < NO_LEAKAGE:
             median[name], spread[name] = USUAL_LEAKAGE, 1.5

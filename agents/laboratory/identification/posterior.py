@@ -43,7 +43,7 @@ class Posterior:
     effective: tuple[float, ...] | None = None  # effective sample size of each parameter
 
     @classmethod
-    def of_fit(cls, fit: Fit, samples: int, seed: int) -> Posterior:
+    def from_fit(cls, fit: Fit, samples: int, seed: int) -> Posterior:
         """Return the normal posterior of a fit by independent draws."""
         likelihood = fit.likelihood
         largest: dict[str, float] = {}

@@ -35,7 +35,7 @@ class Predicted:
     energy: FloatArray  # (N,) dissipated in the first storey [J]; zeros where none yield
 
 
-def predicted(
+def predict_response(
     scenarios: Sequence[Scenario],
     current: FloatArray,
     channels: Sequence[str],
@@ -139,7 +139,7 @@ def _tables(scenarios: Sequence[Scenario]) -> tuple[NonlinearDynamics, CoupledPl
     )
     k, parts = first.substeps, first.parts
     longest = max(each.longest_delay for each in scenarios)
-    dynamics = NonlinearDynamics.of(
+    dynamics = NonlinearDynamics.from_plant(
         plant, parts, first.physics_step, k,
         longest_delay=longest, low_passes=first.observation.low_passes,
     )  # fmt: skip

@@ -18,7 +18,7 @@ import numpy as np
 from agents.laboratory.identification.fit import Fit
 from agents.laboratory.identification.laplace import Density, Laplace
 from agents.laboratory.identification.posterior import Posterior
-from agents.laboratory.logs.hdf5_file import library
+from agents.laboratory.logs.hdf5_file import import_library
 from shake_env.model.parameters import FloatArray
 
 WALKERS_A_PARAMETER = 4
@@ -30,7 +30,7 @@ LEAST, MOST = 20, 5000  # moves of each walker
 WIDER = 1.5  # of the normal posterior's deviations, that the walkers' first draws are taken from
 
 
-def sample(
+def sample_posterior(
     fit: Fit,
     *,
     samples: int = 2000,
@@ -62,7 +62,7 @@ def sample(
     LogError
         If emcee or arviz-stats is missing.
     """
-    emcee, statistics = library("emcee"), library("arviz_stats.base")
+    emcee, statistics = import_library("emcee"), import_library("arviz_stats.base")
     begun, p = time.perf_counter(), len(fit.names)
     walkers = max(2 * p + 2, WALKERS_A_PARAMETER * p)
     walkers += walkers % 2
@@ -98,7 +98,7 @@ def sample(
     picked = np.linspace(0, len(flat) - 1, min(samples, len(flat))).astype(int)
     on_progress(1.0)
     return replace(
-        Posterior.of_fit(fit, 1, seed),
+        Posterior.from_fit(fit, 1, seed),
         points=fit.normal.points(flat[picked]),
         method="ensemble",
         r_hat=tuple(r_hat),

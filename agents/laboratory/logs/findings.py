@@ -34,7 +34,7 @@ class Finding:
         )
 
 
-def findings(log: TestLog) -> list[Finding]:
+def channel_faults(log: TestLog) -> list[Finding]:
     """Return the faults of the measured channels, at most one of a kind and channel.
 
     A channel is saturated where three samples in a row or more lie at exactly its largest or smallest
@@ -65,7 +65,7 @@ def findings(log: TestLog) -> list[Finding]:
 
 def require_sound(log: TestLog, without: Sequence[str] = ()) -> None:
     """Raise LogError where a channel that is used has a fault; `without` are those that are not used."""
-    faults = [each for each in findings(log) if each.channel not in without]
+    faults = [each for each in channel_faults(log) if each.channel not in without]
     if faults:
         names = " ".join(dict.fromkeys(each.channel for each in faults))
         raise LogError(

@@ -33,7 +33,7 @@ MAGIC = b"shake_env log, HDF5 from byte 512 on, SHA-256 "
 _BLOCK = 512  # bytes of the user block
 
 
-def library(name: str) -> Any:
+def import_library(name: str) -> Any:
     """Return a library of the extra ``laboratory``.
 
     Raises
@@ -49,7 +49,7 @@ def library(name: str) -> Any:
 
 def hdf5_bytes(log: TestLog) -> bytes:
     """Return the file of a log."""
-    h5py = library("h5py")
+    h5py = import_library("h5py")
     held = io.BytesIO()
     with h5py.File(held, "w", track_order=True, userblock_size=_BLOCK) as file:
         file.attrs.update(attributes_of(log))
@@ -70,7 +70,7 @@ def read_hdf5(source: str, content: bytes) -> RawTable:
     LogError
         If it is not as it was written, h5py cannot read it, or it holds too much.
     """
-    h5py = library("h5py")
+    h5py = import_library("h5py")
     if content.startswith(MAGIC):
         stated = content[len(MAGIC) : _BLOCK].strip(b"\0\n")
         if stated != hashlib.sha256(content[_BLOCK:]).hexdigest().encode():

@@ -9,7 +9,7 @@ from agents.laboratory.logs.csv_file import csv_bytes, read_csv
 from agents.laboratory.logs.hdf5_file import MAGIC, hdf5_bytes, read_hdf5
 from agents.laboratory.logs.mapping import Mapped
 from agents.laboratory.logs.matlab_file import matlab_bytes, read_matlab
-from agents.laboratory.logs.raw import RawTable, assembled
+from agents.laboratory.logs.raw import RawTable, assemble_log
 from agents.laboratory.logs.tdms_file import read_tdms
 from agents.laboratory.logs.test_log import TestLog
 from shake_env.errors import LogError
@@ -69,7 +69,7 @@ def read_log(file: str | os.PathLike[str], mapping: Mapped | None = None) -> Tes
 
 def parse_log(source: str, content: bytes, mapping: Mapped | None = None) -> TestLog:
     """Return the log of a file whose bytes are in memory; see :func:`read_log`."""
-    return assembled(_raw(source, content, mapping), Path(source).stem, mapping)
+    return assemble_log(_raw(source, content, mapping), Path(source).stem, mapping)
 
 
 def _raw(source: str, content: bytes, mapping: Mapped | None) -> RawTable:

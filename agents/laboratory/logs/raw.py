@@ -57,7 +57,7 @@ def column_unit(log: TestLog, channel: str) -> str:
     return log.input_unit if channel == CURRENT else unit_of(channel)
 
 
-def assembled(raw: RawTable, name: str, mapping: Mapped | None) -> TestLog:
+def assemble_log(raw: RawTable, name: str, mapping: Mapped | None) -> TestLog:
     """Return the log that columns are.
 
     Parameters

@@ -32,7 +32,7 @@ class LogRecorder:
     lanes
         Indices of those to log; None: all.
     plant
-        What is simulated in its place, with the same sensors: a truth that nobody is told; None: the
+        What is simulated in its place, with the same sensors: a hidden plant; None: the
         scenario itself.
     """
 

@@ -22,12 +22,11 @@ def write_logs(
     earthquakes: Sequence[Earthquake],
     folder: str | os.PathLike[str],
     *,
-    ending: str = ".h5",
     tuned: TunedValues | None = None,
     supervised: bool = False,
     on_progress: Callable[[str, float], None] = lambda controller, share: None,
 ) -> list[Path]:
-    """Run controllers on earthquakes and write the log of each test; return the files.
+    """Run controllers on earthquakes and write the log of each test as HDF5; return the files.
 
     Equal seeds make these the same tests as those of `agents.evaluation.comparison.compare`. The
     oracle, which no laboratory has, is left out.
@@ -38,8 +37,6 @@ def write_logs(
         As `compare` takes them.
     folder
         For the files.
-    ending
-        Format of the files: .h5, .mat or .csv.
     on_progress
         Told the controller that runs and its share done, 0 to 1.
     """
@@ -54,7 +51,7 @@ def write_logs(
 
         rollout(controller, scenario, earthquakes, on_step=report, log=recorder)
         for log in recorder.logs(Path(name).stem):
-            file = folder / (re.sub(r"[^\w.-]+", "_", log.name).strip("._") + ending)
+            file = folder / (re.sub(r"[^\w.-]+", "_", log.name).strip("._") + ".h5")
             write_log(log, file)
             written.append(file)
     return written

@@ -12,7 +12,7 @@ import warnings
 
 import numpy as np
 
-from agents.laboratory.logs.hdf5_file import library
+from agents.laboratory.logs.hdf5_file import import_library
 from agents.laboratory.logs.raw import RawTable, text_value, typed
 from agents.laboratory.logs.test_log import MOST
 from shake_env.errors import LogError
@@ -27,7 +27,7 @@ def read_tdms(source: str, content: bytes) -> RawTable:
     LogError
         If npTDMS is missing or cannot read it, or channels state several steps.
     """
-    nptdms = library("nptdms")
+    nptdms = import_library("nptdms")
     logging.getLogger("nptdms").setLevel(logging.CRITICAL)  # it prints what it could not read
     columns: dict[str, FloatArray] = {}
     units: dict[str, str] = {}

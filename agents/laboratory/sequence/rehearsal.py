@@ -1,4 +1,4 @@
-"""The whole loop against simulated laboratories whose truth nobody is told."""
+"""The whole loop against simulated laboratories with hidden plants."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ import numpy as np
 from agents.evaluation.perturbations import observation_rescaling
 from agents.execution.units import Unit, UnitRunner, report
 from agents.laboratory.forecasting.quantities import OutcomeRecorder, Outcomes
-from agents.laboratory.identification.parameters import default_prior, plants
+from agents.laboratory.identification.parameters import default_prior, plants_at
 from agents.laboratory.logs.recorder import LogRecorder
 from agents.laboratory.logs.test_log import TestLog
 from agents.laboratory.sequence.state import Sequence
-from agents.laboratory.sequence.steps import close_shake, designed_on, next_shake, plan
+from agents.laboratory.sequence.steps import close_shake, designed_on, next_shake, plan_sequence
 from agents.plain_values import typed
 from agents.policies.own_controller import is_own_controller, own_source
 from agents.policies.registry import get_controller
@@ -29,7 +29,7 @@ from shake_env.errors import ShakeError
 from shake_env.model.parameters import FloatArray, Specimen
 from shake_env.model.specimen_state import NEW, SpecimenState
 from shake_env.model.specimens import specimen_from_matrices
-from shake_env.rollout import Earthquake, begin, run
+from shake_env.rollout import Earthquake, begin_rollout, run_rollout
 from shake_env.safety.supervisor import Supervised
 from shake_env.scenario.plants.values import specimen_names
 from shake_env.scenario.scenario import UNIFORM, Scenario
@@ -44,7 +44,7 @@ BIAS = 3.0  # of the sensors' own offsets
 
 
 def hidden_truth(scenario: Scenario, stream: np.random.Generator, *, wider: bool = True) -> Scenario:
-    """Return a plant that the fitted model is not told; its sensors are the scenario's.
+    """Return a hidden plant for identification; its sensors are the scenario's.
 
     Drawn from the scenario's prior. With `wider` what the scenario's uncertainty names is drawn from its
     ranges instead, and the plant lies outside of the model: unequal storeys with Rayleigh damping,
@@ -61,7 +61,7 @@ def hidden_truth(scenario: Scenario, stream: np.random.Generator, *, wider: bool
     names = tuple(prior.names[i] for i in ours)
     truth = None
     while truth is None:
-        (truth,) = plants(plain.with_plant(ranges), names, prior.draw(1, stream)[:, ours])
+        (truth,) = plants_at(plain.with_plant(ranges), names, prior.draw(1, stream)[:, ours])
     if not wider:
         return truth
     specimen = truth.specimen
@@ -114,7 +114,7 @@ class Rehearsal:
     failure: str | None = None
 
 
-def rehearse(
+def rehearse_sequences(
     scenario: Scenario,
     *,
     truths: int,
@@ -138,7 +138,7 @@ def rehearse(
     truths, seed
         Number of hidden plants, and the seed of all that is drawn.
     amplitudes, controllers, samples
-        See `plan`.
+        See `plan_sequence`.
     wider
         Whether truths lie outside of the model; False: drawn from the prior.
     discrepancy
@@ -203,7 +203,7 @@ def _rehearsed(
     wider: bool,
 ) -> Rehearsal:
     truth = hidden_truth(scenario, np.random.default_rng([seed, number]), wider=wider)
-    sequence = plan(
+    sequence = plan_sequence(
         folder / "sequence", scenario, amplitudes=amplitudes, controllers=controllers, samples=samples
     )
     inside: dict[str, bool] = {}
@@ -220,7 +220,9 @@ def _rehearsed(
             belief = next(each for each in forecasts if each.controller == name)
             design = designed_on(sequence)
             before = specimen
-            log, outcomes, specimen = shake(design, truth, name, seed + 100 * number + step, before)
+            log, outcomes, specimen = simulate_shake(
+                design, truth, name, seed + 100 * number + step, before
+            )
             for quantity, column in outcomes.values.items():
                 low, _, high = belief.interval(quantity)
                 inside[f"{step + 1} {quantity}"] = bool(low <= column[0] <= high)
@@ -235,7 +237,7 @@ def _rehearsed(
     # The same shake on the same specimen: the last one, with the damage that it began with.
     last = seed + 100 * number + len(errors) - 1
     full = {
-        which: float(shake(design, truth, name, last, before)[1].values["base_shear_error"][0])
+        which: float(simulate_shake(design, truth, name, last, before)[1].values["base_shear_error"][0])
         for which, design in (("informed", _informed(scenario, truth)), ("nominal", scenario))
     }
     iterated = _iterated(replace(truth, motion=scenario.motion), last)
@@ -272,7 +274,7 @@ def _iterated(truth: Scenario, seed: int) -> tuple[float, float] | tuple[None, N
     return taken / float(last.perfect_energy[0]), float(last.shear_error[0])
 
 
-def shake(
+def simulate_shake(
     design: Scenario, truth: Scenario, name: str, seed: int, specimen: SpecimenState = NEW
 ) -> tuple[TestLog, Outcomes, SpecimenState]:
     """Run a supervised test of a controller on a hidden plant.
@@ -301,10 +303,10 @@ def shake(
     controller: Controller = Supervised(get_controller(name, design), design)
     recorder = LogRecorder(design, quakes, plant=plant)
     driver = Rescaled(controller, observation_rescaling(plant, design))
-    simulation, observation = begin(plant, quakes)
+    simulation, observation = begin_rollout(plant, quakes)
     outcome = OutcomeRecorder(design, 1, plant=plant, drifts=simulation.first_drifts)
     end = EndOfTest(simulation)
-    run(driver, simulation, observation, [recorder, outcome, end])
+    run_rollout(driver, simulation, observation, [recorder, outcome, end])
     after = specimen.after(*end.specimens, *outcome.energy[:, 0])
     return recorder.logs()[0], outcome.outcomes(), after
 
@@ -337,7 +339,7 @@ def _values(truth: Scenario) -> dict[str, float]:
     }
 
 
-def summary(rehearsals: Items[Rehearsal]) -> dict[str, Any]:
+def rehearsal_summary(rehearsals: Items[Rehearsal]) -> dict[str, Any]:
     """Return the figures of rehearsals as plain JSON values."""
     done = [each for each in rehearsals if each.failure is None]
     by_quantity: dict[str, list[bool]] = {}

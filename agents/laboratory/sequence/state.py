@@ -30,7 +30,7 @@ class Shake:
 
     amplitude: float  # [-] of the full motion
     controller: str | None = None  # chosen by the forecast; None: not forecast yet
-    forecast: Mapping[str, Any] | None = None  # its intervals, as `page.to_json` writes them
+    forecast: Mapping[str, Any] | None = None  # its intervals, as `page.forecast_to_json` writes them
     override: str | None = None  # reason why an unsafe shake is made all the same
     log: tuple[str, str] | None = None  # name and digest of the log that closed it
     measured: Mapping[str, float] | None = None  # rms and peak of each channel
@@ -52,7 +52,7 @@ class Sequence:
     folder: Path
     scenario: Scenario  # with the full motion; its uncertainty is the first belief
     controllers: tuple[str, ...]
-    keep: float  # probability with which every limit must be kept
+    required_probability: float  # with which every limit must be kept
     probability: float  # of the intervals
     samples: int
     seed: int
@@ -113,7 +113,7 @@ class Sequence:
             "version": VERSION,
             "scenario": json.loads(text_of_scenario(self.scenario)),
             "controllers": list(self.controllers),
-            "keep": self.keep,
+            "required_probability": self.required_probability,
             "probability": self.probability,
             "samples": self.samples,
             "seed": self.seed,
@@ -146,7 +146,7 @@ def read_sequence(folder: str | os.PathLike[str]) -> Sequence:
             folder=folder,
             scenario=scenario_of_text(json.dumps(content["scenario"])),
             controllers=tuple(content["controllers"]),
-            keep=float(content["keep"]),
+            required_probability=float(content["required_probability"]),
             probability=float(content["probability"]),
             samples=int(content["samples"]),
             seed=int(content["seed"]),

@@ -12,15 +12,16 @@ import numpy as np
 
 from agents.execution.units import UnitRunner
 from agents.laboratory.forecasting.forecast import Forecast, advice, forecast
-from agents.laboratory.forecasting.page import to_json, write_page
+from agents.laboratory.forecasting.page import forecast_to_json, write_page
 from agents.laboratory.identification.consistency import require_motion
 from agents.laboratory.identification.damage import damage_after
 from agents.laboratory.identification.identify import Identified, identify
-from agents.laboratory.identification.parameters import Prior, default_prior, plants
+from agents.laboratory.identification.parameters import Prior, default_prior, plants_at
 from agents.laboratory.identification.posterior import Posterior
 from agents.laboratory.logs.log_file import write_log
 from agents.laboratory.logs.test_log import TestLog, require_same_test
 from agents.laboratory.sequence.state import Sequence, Shake
+from agents.seeds import FORECAST_SEED, SHAKE_SEEDS
 from shake_env.errors import LogError, ParameterError
 from shake_env.model.parameters import FloatArray
 from shake_env.model.specimen_state import SLIP
@@ -34,18 +35,18 @@ from shake_env.sequence_env import AMPLITUDES, rising_amplitudes
 Progress = Callable[[str, float], None]
 
 
-def silent(what: str, share: float) -> None:
+def no_progress(what: str, share: float) -> None:
     """Say nothing."""
 
 
-def plan(
+def plan_sequence(
     folder: str | os.PathLike[str],
     scenario: Scenario,
     *,
     amplitudes: Items[float] = AMPLITUDES,
     controllers: Items[str] = ("lqg",),
     prior: Prior | None = None,
-    keep: float = 0.95,
+    required_probability: float = 0.95,
     probability: float = 0.9,
     samples: int = 200,
     seed: int = 0,
@@ -64,7 +65,7 @@ def plan(
         Among which each forecast chooses.
     prior
         First belief; None: `default_prior`.
-    keep, probability, samples, seed
+    required_probability, probability, samples, seed
         See `agents.laboratory.forecasting.forecast`.
 
     Raises
@@ -77,7 +78,9 @@ def plan(
     if isinstance(scenario.motion, MotionSet):
         raise ParameterError("motion", "a set", "a sequence repeats one motion: name it")
     shakes = tuple(Shake(amplitude) for amplitude in amplitudes)
-    sequence = Sequence(folder, scenario, tuple(controllers), keep, probability, samples, seed, shakes)
+    sequence = Sequence(
+        folder, scenario, tuple(controllers), required_probability, probability, samples, seed, shakes
+    )
     if (folder / "sequence.json").exists():
         raise ParameterError("folder", str(folder), "holds a sequence already: give another")
     folder.mkdir(parents=True, exist_ok=True)
@@ -110,7 +113,7 @@ def next_shake(
     override: str | None = None,
     page: bool = True,
     runner: UnitRunner | None = None,
-    on_progress: Progress = silent,
+    on_progress: Progress = no_progress,
 ) -> tuple[Sequence, list[Forecast]]:
     """Forecast the next shake on the present belief, choose its controller, and write its scenario.
 
@@ -138,11 +141,11 @@ def next_shake(
         amplitudes=(shake.amplitude,),
         samples=sequence.samples,
         probability=sequence.probability,
-        seed=7_000_000 + 10_000 * number + sequence.seed,
+        seed=FORECAST_SEED + SHAKE_SEEDS * number + sequence.seed,
         runner=runner,
         on_progress=on_progress,
     )
-    chosen = advice(forecasts, sequence.keep)
+    chosen = advice(forecasts, sequence.required_probability)
     folder = sequence.shake_folder(number + 1)
     if page:
         write_page(forecasts, chosen, f"Shake {number + 1}, amplitude {shake.amplitude:g}", folder)
@@ -155,7 +158,7 @@ def next_shake(
     best = next(each for each in forecasts if each.controller == chosen.controller)
     sequence = sequence.with_next(
         controller=chosen.controller,
-        forecast=to_json(best),
+        forecast=forecast_to_json(best),
         override=override if chosen.amplitude == 0.0 else None,
     )
     write_scenario(designed_on(sequence), folder / "test.toml")
@@ -170,7 +173,7 @@ def designed_on(sequence: Sequence) -> Scenario:
     """
     model = sequence.posterior.nominal
     motion = sequence.scenario.motion
-    assert not isinstance(motion, MotionSet)  # `plan` refuses it
+    assert not isinstance(motion, MotionSet)  # `plan_sequence` refuses it
     return replace(model, motion=replace(motion, amplitude=sequence.next.amplitude * motion.amplitude))
 
 
@@ -181,7 +184,7 @@ def close_shake(
     without: Items[str] = (),
     band: tuple[float, float] | None = None,
     discrepancy: bool = True,
-    on_progress: Progress = silent,
+    on_progress: Progress = no_progress,
 ) -> tuple[Sequence, Identified]:
     """Hold the next shake's forecast against its log, update the belief, and write both.
 
@@ -213,7 +216,7 @@ def close_shake(
         estimated = ("actuator", "nonlinearity", "delay", "specimen")
         require_same_test(log.scenario, model, log.name, but=estimated)
     require_motion(log, model)
-    measured = figures(log)
+    measured = measured_figures(log)
     intervals = shake.forecast["intervals"]
     inside = {
         name: bool(intervals[name][0] <= value <= intervals[name][2])
@@ -254,7 +257,7 @@ def with_damage(posterior: Posterior, logs: Items[TestLog]) -> Posterior:
 
     Samples that the model cannot be are left out.
     """
-    tables = plants(posterior.scenario, posterior.names, posterior.points)
+    tables = plants_at(posterior.scenario, posterior.names, posterior.points)
     possible = np.array([table is not None for table in tables])
     states = damage_after([table for table in tables if table is not None], logs)
     return replace(posterior, points=posterior.points[possible], states=tuple(states))
@@ -275,7 +278,7 @@ def damage_intervals(posterior: Posterior, probability: float) -> dict[str, list
     return {name: np.quantile(values, ends).tolist() for name, values in columns.items()}
 
 
-def figures(log: TestLog) -> dict[str, float]:
+def measured_figures(log: TestLog) -> dict[str, float]:
     """Return rms and peak of each measured channel, SI, as forecasts call them."""
     values_of = {}
     for name in log.measured:
@@ -291,6 +294,6 @@ def _possible(scenario: Scenario, prior: Prior, number: int, seed: int) -> Float
     points = np.zeros((0, len(prior.names)))
     while len(points) < number:
         draws = prior.draw(number, stream)
-        possible = [table is not None for table in plants(scenario, prior.names, draws)]
+        possible = [table is not None for table in plants_at(scenario, prior.names, draws)]
         points = np.concatenate([points, draws[possible]])
     return points[:number]

@@ -327,10 +327,10 @@ class AnalyticPolicyGradient(BaseAlgorithm):
 
     @torch.no_grad()
     def _retreat(self) -> None:
-        """Take the actor back to the mean of where it was in the last windows that had a gradient.
+        """Reset the actor to the mean of its parameters over the last windows with a finite gradient.
 
-        A step too far and the loop is unstable: what follows grows beyond all numbers within a window,
-        and no gradient leads back.
+        After too large a step the loop is unstable: the cost overflows within a window, and its
+        gradient is not finite.
         """
         for parameter in self._actor:
             parameter.copy_(self._slow[id(parameter)])

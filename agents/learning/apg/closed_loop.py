@@ -45,7 +45,7 @@ class Start:
 
 
 @dataclass(frozen=True)
-class Passage:
+class LoopTrajectory:
     """What N tables did over H control periods."""
 
     begun: FloatArray  # (H + 1, N, S) state that each period begins with; last, that after the window
@@ -92,14 +92,14 @@ class ClosedLoop:
     ) -> None:
         self.model, self.period, self.law = model, period, law
         self.base, self.authority = base, authority
-        self.signals = Signals.of(model, law)
+        self.signals = Signals.from_model(model, law)
         first = model.filter_states
         scale = model.observation_scale[first : first + model.controlled]
         self._bound = OBSERVATION_BOUND * scale
         self._bound[TABLE_DISPLACEMENT] = np.inf  # it may drift
         self._floors = measures_floors(model)
 
-    def run(self, start: Start, ground: GroundPeriod, noise: FloatArray, act: Act) -> Passage:
+    def run(self, start: Start, ground: GroundPeriod, noise: FloatArray, act: Act) -> LoopTrajectory:
         """Follow the tables.
 
         Parameters
@@ -169,13 +169,13 @@ class ClosedLoop:
         sensors = SensorMemory(
             start.sensors.bias, start.sensors.gain, total[-1].clip(-1.0, 1.0), history
         )
-        return Passage(
+        return LoopTrajectory(
             begun, ends, acceleration, shear, correction, total, shown, alive, sensors, law_memory
         )
 
     def sweep(
         self,
-        passage: Passage,
+        passage: LoopTrajectory,
         age: NDArray[np.int_],
         slopes: dict[str, FloatArray],
         along: FloatArray,
@@ -271,10 +271,12 @@ def _transposed(matrix: FloatArray) -> FloatArray:
     return np.swapaxes(matrix, -1, -2)
 
 
-def _forget(law: EstimatedLaw, kept: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _forget(law: EstimatedLaw, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return slopes along what `EstimatedLaw.keep` took: (N, M) of the known, (N,) of the action."""
     first = law.gains.shape[1]
     last = first + law.actions
-    none = np.zeros((len(kept), 1))
-    known = np.concatenate([kept[:, :first], none, kept[:, first : last - 1], kept[:, last:]], axis=-1)
-    return known, kept[:, last - 1]
+    none = np.zeros((len(slopes), 1))
+    known = np.concatenate(
+        [slopes[:, :first], none, slopes[:, first : last - 1], slopes[:, last:]], axis=-1
+    )
+    return known, slopes[:, last - 1]

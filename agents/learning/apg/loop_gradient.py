@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch.autograd.function import once_differentiable
 
-from agents.learning.apg.closed_loop import ClosedLoop, Passage
+from agents.learning.apg.closed_loop import ClosedLoop, LoopTrajectory
 from shake_env.model.parameters import FloatArray
 
 Kept = torch.Tensor | None
@@ -26,7 +26,7 @@ class _Sweep(torch.autograd.Function):
     def forward(
         ctx: Any,
         loop: ClosedLoop,
-        passage: Passage,
+        passage: LoopTrajectory,
         age: NDArray[np.int_],
         act: Act,
         *parameters: torch.Tensor,
@@ -60,7 +60,7 @@ class _Sweep(torch.autograd.Function):
 
 def differentiable(
     loop: ClosedLoop,
-    passage: Passage,
+    passage: LoopTrajectory,
     age: NDArray[np.int_],
     act: Act,
     parameters: Sequence[torch.Tensor],

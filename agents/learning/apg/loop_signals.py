@@ -31,7 +31,7 @@ class Signals:
     rows: dict[str, slice]
 
     @classmethod
-    def of(cls, model: TableModel, law: EstimatedLaw | None) -> Signals:
+    def from_model(cls, model: TableModel, law: EstimatedLaw | None) -> Signals:
         """Run sensors and estimator on a basis.
 
         Parameters

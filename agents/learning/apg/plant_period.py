@@ -12,8 +12,6 @@ from shake_env.dynamics.linear import TableDynamics
 from shake_env.dynamics.nonlinear import NonlinearDynamics, apply
 from shake_env.model.parameters import FloatArray
 
-ADJOINT = "shake_env.kernels.period_adjoint"
-
 
 class Period(Protocol):
     """A control period of the plant and its adjoint, for a batch (N,)."""
@@ -40,7 +38,7 @@ class LinearPeriod:
     substeps: int  # k
 
     @classmethod
-    def of(cls, dynamics: TableDynamics | NonlinearDynamics) -> LinearPeriod:
+    def from_dynamics(cls, dynamics: TableDynamics | NonlinearDynamics) -> LinearPeriod:
         """Return the matrix of dynamics without active nonlinear parts, by running them on a basis."""
         if isinstance(dynamics, TableDynamics):
             return cls(dynamics.matrix, dynamics.states, dynamics.substeps)
@@ -76,10 +74,12 @@ class CompiledPeriod:
     adjoint_step: Any  # kernels.period_adjoint.PeriodAdjoint
 
     @classmethod
-    def of(cls, dynamics: NonlinearDynamics) -> CompiledPeriod | None:
+    def from_dynamics(cls, dynamics: NonlinearDynamics) -> CompiledPeriod | None:
         """Return the period of dynamics, None where numba is not installed or does not take them."""
         step = dynamics._compiled if numba_support.COMPILED else None
-        kernel = None if step is None else numba_support.compiled_module(ADJOINT)
+        kernel = (
+            None if step is None else numba_support.compiled_module("shake_env.kernels.period_adjoint")
+        )
         return None if kernel is None else cls(kernel.PeriodAdjoint(step))
 
     def __call__(
@@ -100,5 +100,5 @@ class CompiledPeriod:
 def period_of(dynamics: TableDynamics | NonlinearDynamics) -> Period | None:
     """Return a differentiable period of dynamics in numpy; None where only torch differentiates them."""
     if isinstance(dynamics, NonlinearDynamics) and dynamics.parts.active:
-        return CompiledPeriod.of(dynamics)
-    return LinearPeriod.of(dynamics)
+        return CompiledPeriod.from_dynamics(dynamics)
+    return LinearPeriod.from_dynamics(dynamics)

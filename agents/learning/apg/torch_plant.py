@@ -34,9 +34,9 @@ class PeriodMap:
     substeps: int  # k
 
     @classmethod
-    def of(cls, dynamics: NonlinearDynamics, like: torch.Tensor) -> PeriodMap:
+    def from_dynamics(cls, dynamics: NonlinearDynamics, like: torch.Tensor) -> PeriodMap:
         """Return the map of dynamics in numpy without active nonlinear parts."""
-        linear = LinearPeriod.of(dynamics)
+        linear = LinearPeriod.from_dynamics(dynamics)
         return cls(as_like(linear.matrix, like), linear.states, linear.substeps)
 
     def control_step(
@@ -73,14 +73,14 @@ class CompiledPeriod:
     adjoint: PeriodAdjoint
 
     @classmethod
-    def of(cls, dynamics: NonlinearDynamics, like: torch.Tensor) -> CompiledPeriod | None:
+    def from_dynamics(cls, dynamics: NonlinearDynamics, like: torch.Tensor) -> CompiledPeriod | None:
         """Return the period of dynamics in numpy; None where it cannot stand in for them.
 
         It needs numba, and tensors of `like`'s kind in double precision on the processor.
         """
         if like.dtype != torch.float64 or like.device.type != "cpu":
             return None
-        period = NumpyPeriod.of(dynamics)
+        period = NumpyPeriod.from_dynamics(dynamics)
         return None if period is None else cls(period.adjoint_step)
 
     def control_step(
@@ -92,11 +92,11 @@ class CompiledPeriod:
 
 def torch_model(model: TableModel, like: torch.Tensor) -> TableModel:
     """Return a model as it is differentiated: in the precision and on the device of `like`."""
-    moved = model.like(like)
+    moved = model.to(like)
     dynamics: Any = moved.dynamics
     if isinstance(model.dynamics, NonlinearDynamics):
         if not model.dynamics.parts.active:
-            dynamics = PeriodMap.of(model.dynamics, like)
+            dynamics = PeriodMap.from_dynamics(model.dynamics, like)
         else:
-            dynamics = CompiledPeriod.of(model.dynamics, like) or dynamics
+            dynamics = CompiledPeriod.from_dynamics(model.dynamics, like) or dynamics
     return replace(moved, dynamics=dynamics)

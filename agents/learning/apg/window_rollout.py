@@ -96,7 +96,7 @@ class WindowRollout:
         self.env = env
         self.like = torch.zeros(1, dtype=dtype, device=device)
         self._base: torch.Tensor | None = as_like(env.base, self.like) if np.any(env.base) else None
-        self._law = None if env.law is None else env.law.like(self.like)
+        self._law = None if env.law is None else env.law.to(self.like)
         self._model: TableModel | None = None
         self._loop: ClosedLoop | None = None
         sensors = env.scenario.sensing.sensors or ()
@@ -106,7 +106,7 @@ class WindowRollout:
     def model(self) -> TableModel:
         """The plants as they are drawn now."""
         simulation = self.env.simulation
-        if self._model is None or simulation.fleet is not None:
+        if self._model is None or simulation.plant_batch is not None:
             self._model = torch_model(simulation.model, self.like)
         return self._model
 
@@ -116,7 +116,7 @@ class WindowRollout:
         env, simulation = self.env, self.env.simulation
         if self.like.dtype != torch.float64 or self.like.device.type != "cpu":
             return None
-        if self._loop is None or simulation.fleet is not None:
+        if self._loop is None or simulation.plant_batch is not None:
             period = period_of(simulation.model.dynamics)
             base = env.base if np.any(env.base) else None
             if period is not None:
@@ -132,7 +132,7 @@ class WindowRollout:
         segment: int = 0,
         parameters: Sequence[torch.Tensor] = (),
     ) -> Window:
-        """Follow the tables over `steps` control periods; :meth:`commit` puts the environment there.
+        """Follow the tables over `steps` control periods; :meth:`sync_env` puts the environment there.
 
         Parameters
         ----------
@@ -159,10 +159,10 @@ class WindowRollout:
         ahead = _Ahead(
             self.model,
             simulation.step_count.copy(),
-            ground.like(self.like),
+            ground.to(self.like),
             as_like(noise, self.like),
         )
-        sensors = simulation.memory.like(self.like)
+        sensors = simulation.memory.to(self.like)
         carried: tuple[Kept, ...] = (
             as_like(simulation.state, self.like),
             as_like(self.env.observation, self.like),
@@ -215,7 +215,7 @@ class WindowRollout:
         outcome = model.judge(
             PeriodResponse(state, acceleration, shear),
             model.current_limit * action,
-            ground.like(self.like),
+            ground.to(self.like),
         )
         return self._window(
             outcome.cost.total + outcome.soft_cost,
@@ -223,7 +223,7 @@ class WindowRollout:
             observation=history[-1][:, : observation.shape[1]],
             shown=history[-1],
             state=torch.from_numpy(passage.begun[-1]),
-            memory=passage.sensors.like(self.like),
+            memory=passage.sensors.to(self.like),
             law_memory=None if law is None else torch.from_numpy(passage.law),
             recalled=None,
             aside=None,
@@ -353,7 +353,9 @@ class WindowRollout:
         ends = np.where(terminated, breaks, left)
         last = (ends - 1, np.arange(lanes))
         extra = np.zeros((steps, lanes))  # what broken limits cost: data, without a gradient
-        extra[last] = np.where(terminated, simulation.breaking_cost(simulation.step_count + ends), 0.0)
+        extra[last] = np.where(
+            terminated, simulation.termination_penalty(simulation.step_count + ends), 0.0
+        )
         counts = np.arange(steps)[:, None] < ends
         running = torch.as_tensor(counts, device=self.like.device)
         total = torch.where(running, cost, 0.0) + as_like(extra, self.like)

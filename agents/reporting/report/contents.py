@@ -18,7 +18,7 @@ from agents.evaluation.results import Comparison, drive_column
 from agents.evaluation.statistics import mean_interval
 from agents.policies.policy_file import PolicyFile, load_policy
 from agents.policies.registry import ORACLE, SHIPPED, policy_path
-from agents.reporting.report.estimates import Drawn, TransferEstimate, lqr_frontier
+from agents.reporting.report.estimates import SampledParameters, TransferEstimate, lqr_frontier
 from agents.reporting.report.traces import Channel, Curves, achieved_curves, target_curves
 from agents.reporting.summary_text import Verdict, verdict
 from agents.run_directory import learning_curve
@@ -108,11 +108,11 @@ class Report:
     channels: tuple[Channel, ...]
     trade_off: dict[str, TradeOff]  # by controller, on the verdict's group
     frontier: list[tuple[float, float]]
-    drawn: Drawn
+    drawn: SampledParameters
     learning: dict[str, list[tuple[int, float]]]  # by controller that has a curve
     policies: dict[str, PolicyFile]  # by controller that is one
     command: str
-    unlike: dict[str, Any] | None = None  # a result of `robustness` on the same scenario
+    robustness: dict[str, Any] | None = None  # a result of `robustness` on the same scenario
 
     @property
     def controllers(self) -> list[str]:
@@ -139,7 +139,7 @@ def make_report(
     comparison: Comparison,
     gathered: HistoryCollector,
     command: str,
-    unlike: dict[str, Any] | None = None,
+    robustness: dict[str, Any] | None = None,
 ) -> Report:
     """Return the report of a comparison whose histories were `gathered`.
 
@@ -151,7 +151,7 @@ def make_report(
         What the comparison's ``on_histories`` was.
     command
         The command line that made it.
-    unlike
+    robustness
         A result of ``shake robustness`` on the same scenario, shown if it is given.
     """
     scenario = gathered.scenario
@@ -175,11 +175,11 @@ def make_report(
         trade_off=trade_off,
         # It is of filtered noise; under other motions a law may do better, or worse.
         frontier=lqr_frontier(scenario) if judgement.group == "filtered noise" else [],
-        drawn=Drawn.of(scenario, gathered.earthquakes),
+        drawn=SampledParameters.from_scenario(scenario, gathered.earthquakes),
         learning={name: curve for name, curve in learning.items() if len(curve) > 1},
         policies=policy_files_of(comparison.episodes, known_name(scenario)),
         command=command,
-        unlike=unlike,
+        robustness=robustness,
     )
 
 

@@ -75,13 +75,13 @@ class TransferEstimate:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class SampledParameters:
     """What the uncertainty drew for each earthquake."""
 
     parameters: dict[str, FloatArray]  # (earthquakes,) SI, by name
 
     @classmethod
-    def of(cls, scenario: Scenario, earthquakes: Sequence[Earthquake]) -> Drawn:
+    def from_scenario(cls, scenario: Scenario, earthquakes: Sequence[Earthquake]) -> SampledParameters:
         """Repeat the draws of `Simulation.start`: the motion first, then the plant."""
         rows = []
         for quake in earthquakes:

@@ -82,7 +82,7 @@ def report_page(report: Report, stills: Sequence[str]) -> str:
         data=page_data(report),
         setting=_setting(report),
         accepted=acceptance_section(report),
-        changed=None if report.unlike is None else _robustness(report.unlike),
+        changed=None if report.robustness is None else _robustness(report.robustness),
         stills=stills,
         oracle=ORACLE,
         questions=QUESTIONS,

@@ -1,4 +1,4 @@
-"""The nonlinear parts on a bench of their own: what laws and kernel do under a simple drive.
+"""The nonlinear parts in separate simulated tests: laws and kernel under simple inputs.
 
 A storey is cycled through drift, the table is driven by a sinusoidal current, the valve is read off
 over load pressure. Laws come from `shake_env.model.nonlinearity`, steps from
@@ -200,7 +200,7 @@ def shaken_storey(bench: ComponentSetup, step: float = 1e-3) -> tuple[FloatArray
     """
     motion = RecordedMotion(record=bench.record, amplitude=bench.amplitude, duration=bench.duration)
     target = target_history(motion, step).acceleration
-    kernel = YieldingReference.of(bench.plant, bench.yielding, step)
+    kernel = YieldingReference.from_plant(bench.plant, bench.yielding, step)
     _, states, shear = kernel.run(np.zeros((1, 3 * kernel.stories)), target[:, None])
     return states[:, 0, 0], shear[:, 0]
 
@@ -245,7 +245,7 @@ def sinusoidal_table(
     periods, ramp = 7.25, 2.0
     samples = round(1.0 / (bench.frequency * step))
     coulomb = np.asarray([friction.coulomb] if levels is None else levels, dtype=float)
-    kernel = NonlinearDynamics.of(bench.plant, Nonlinearity(friction=friction), step, 1)
+    kernel = NonlinearDynamics.from_plant(bench.plant, Nonlinearity(friction=friction), step, 1)
     kernel = replace(kernel, coulomb=coulomb)
     time = step * np.arange(round(periods * samples))
     phase = bench.frequency * (time + 0.5 * step)  # [-] a held current stands for its step's middle

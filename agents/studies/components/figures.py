@@ -1,4 +1,4 @@
-"""Figures of the nonlinear parts on their bench; the numbers come from `bench`."""
+"""Figures of the nonlinear parts in separate tests; the numbers come from `bench`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The bench of nonlinear parts as one run: key numbers, figures, and lines for the terminal."""
+"""The tests of nonlinear parts as one run: key numbers, figures, and lines for the terminal."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from shake_env.model.nonlinearity import Friction
 
 
 def components(bench: ComponentSetup, folder: Path | None) -> dict[str, Any]:
-    """Run the bench; return its key numbers, and write them and the figures where there is a folder."""
+    """Run the tests; return their key numbers, and write them and figures where there is a folder."""
     law = bench.friction
     storey = growing_cycles(bench)
     own = sinusoidal_table(bench, law)

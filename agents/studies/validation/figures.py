@@ -42,7 +42,7 @@ MARKERS = {
 }  # fmt: skip
 
 
-def hankel(loops: Mapping[str, ReducedLoop], folder: str | PathLike[str]) -> list[Path]:
+def draw_hankel_values(loops: Mapping[str, ReducedLoop], folder: str | PathLike[str]) -> list[Path]:
     """Draw the Hankel singular values for four choices of outputs, and error and bound by order."""
     folder = Path(folder)
     with figure_style():
@@ -85,7 +85,7 @@ def _power(value: float) -> str:
     return f"${value / 10.0**exponent:.1f}\\cdot10^{{{exponent}}}$"
 
 
-def transfer(loops: Mapping[str, ReducedLoop], folder: str | PathLike[str]) -> list[Path]:
+def draw_transfer(loops: Mapping[str, ReducedLoop], folder: str | PathLike[str]) -> list[Path]:
     """Draw both tracking errors of full and reduced loop over frequency, and their difference."""
     folder = Path(folder)
     with figure_style():
@@ -123,7 +123,7 @@ def transfer(loops: Mapping[str, ReducedLoop], folder: str | PathLike[str]) -> l
         return save_figure(figure, folder, "validation_transfer")
 
 
-def ranges(checks: Sequence[MotionCheck], folder: str | PathLike[str]) -> list[Path]:
+def draw_ranges(checks: Sequence[MotionCheck], folder: str | PathLike[str]) -> list[Path]:
     """Draw every peak over its limit, by quantity, controller and group of motions."""
     folder = Path(folder)
     names = list(dict.fromkeys(check.group for check in checks))
@@ -166,7 +166,7 @@ ROWS: tuple[tuple[str, str, float], ...] = (
 TARGETS = {"table_acceleration": "target_acceleration", "base_shear": "reference_base_shear"}
 
 
-def transients(name: str, motions: Mapping[str, Motion], folder: str | PathLike[str]) -> list[Path]:
+def draw_transients(name: str, motions: Mapping[str, Motion], folder: str | PathLike[str]) -> list[Path]:
     """Draw one motion under the controllers: the table's outputs and states about the strongest part."""
     folder = Path(folder)
     styles = {

@@ -87,7 +87,7 @@ class MotionCheck:
     drift_ratio: float | None  # largest storey drift over the reference specimen's
 
 
-def check_ranges(peaks: Mapping[str, float]) -> tuple[Check, ...]:
+def check_peaks(peaks: Mapping[str, float]) -> tuple[Check, ...]:
     """Compare peaks (SI, by quantity) with `RANGES`; a quantity that is missing is left out."""
     checks = []
     for known in RANGES:
@@ -122,7 +122,7 @@ def check_motion(
         ``reference_base_shear`` and ``reference_drift``, SI.
     """
     peaks = {known.quantity: float(np.max(np.abs(signals[known.quantity]))) for known in RANGES}
-    checks = check_ranges(peaks)
+    checks = check_peaks(peaks)
     still = float(np.finfo(float).max)  # what does not move may be made as large as you like
     rated = {c.quantity: c.factor_to_rated or still for c in checks}
     limit = {c.quantity: c.factor_to_limit or still for c in checks}

@@ -47,7 +47,7 @@ class Group:
     earthquakes: list[Earthquake]
 
 
-def groups(scenario: Scenario, noise: int) -> list[Group]:
+def motion_groups(scenario: Scenario, noise: int) -> list[Group]:
     """Return the validation's motions by group: records, filtered noise, enveloped filtered noise."""
     free = replace(scenario, limits=Limits(), current_limit=UNCLIPPED)
     group_list = [Group("records", free, recorded_earthquakes(free))]
@@ -63,7 +63,7 @@ def groups(scenario: Scenario, noise: int) -> list[Group]:
     return group_list
 
 
-def gains(scenario: Scenario) -> dict[str, FloatArray]:
+def sampled_gains(scenario: Scenario) -> dict[str, FloatArray]:
     """Return the LQR gains (n,) of the validation's two sampled-data controllers."""
     specimen, table = scenario.specimen, scenario.actuator.table_mass
     shrink = UNKNOWN_SPECIMEN * table / specimen.mass

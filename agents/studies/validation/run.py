@@ -27,9 +27,9 @@ from agents.studies.validation.responses import (
     continuous_loops,
     continuous_name,
     continuous_response,
-    gains,
-    groups,
+    motion_groups,
     reduced_response,
+    sampled_gains,
     sampled_responses,
     smooth_target,
 )
@@ -85,7 +85,7 @@ def validate(
     checks: list[MotionCheck] = []
     differences: list[dict[str, Any]] = []
     shown: dict[str, Motion] = {}
-    for group in groups(scenario, noise):
+    for group in motion_groups(scenario, noise):
         outcome = _run_group(group, loops if group.scenario.ground == scenario.ground else None)
         for controller, motions in outcome.motions.items():
             for motion in motions:
@@ -109,10 +109,10 @@ def validate(
     if output is not None:
         output = Path(output)
         files += output_files.write_validation(results, output)
-        files += figures.hankel(loops, output)
-        files += figures.transfer(loops, output)
-        files += figures.ranges(checks, output)
-        files += figures.transients(SHOWN, shown, output)
+        files += figures.draw_hankel_values(loops, output)
+        files += figures.draw_transfer(loops, output)
+        files += figures.draw_ranges(checks, output)
+        files += figures.draw_transients(SHOWN, shown, output)
         done("tables and figures")
     return {**results, "seconds": time.perf_counter() - started, "files": [str(f) for f in files]}
 
@@ -143,7 +143,7 @@ class _GroupResult:
 def _run_group(group: Group, reduced: dict[str, ReducedLoop] | None) -> _GroupResult:
     """Run every controller on a group; `reduced` is None where its plant is another one."""
     result = _GroupResult()
-    for name, gain in gains(group.scenario).items():
+    for name, gain in sampled_gains(group.scenario).items():
         result.motions[name] = sampled_responses(group, gain)
     # The continuous controllers get the motions that the sampled ones were given.
     targets = [

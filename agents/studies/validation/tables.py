@@ -170,7 +170,7 @@ def validation_tables(results: dict[str, Any]) -> str:
     return "\n".join(parts)
 
 
-def print_tables(results: dict[str, Any], console: Console) -> None:
+def print_validation(results: dict[str, Any], console: Console) -> None:
     """Print what fits a terminal: who exceeds what, amplitude factors, the reduction."""
     motions = results["motions"]
     _print(console, "Responses above the rated size (above the limit)", exceeded_table(motions))

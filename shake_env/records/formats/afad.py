@@ -8,10 +8,10 @@ from shake_env.records.text.header import (
     check_peak_about_any_mean,
     count_in,
     keyed_lines,
-    needed,
+    require_line,
     value_in,
 )
-from shake_env.records.text.source import SourceText, number
+from shake_env.records.text.source import SourceText, parse_number
 from shake_env.records.units import Unit, settle_interval, settle_unit
 
 _HEADER_LINES = 40  # at most
@@ -42,9 +42,9 @@ def parse_afad(
             raise source.error(0, "the header has no line of titles 'N-S  E-W  U-D'")
     components = source.line(titles).split()
     header = keyed_lines(source, 1, titles)
-    at, text = needed(source, header, "NUMBER OF DATA", titles)
+    at, text = require_line(source, header, "NUMBER OF DATA", titles)
     points = count_in(source, at, text)
-    place, text = needed(source, header, "SAMPLING INTERVAL (sec)", titles)
+    place, text = require_line(source, header, "SAMPLING INTERVAL (sec)", titles)
     step = settle_interval(
         source.place(place), value_in(source, place, text, "a number of seconds"), sampling_interval
     )
@@ -59,7 +59,7 @@ def parse_afad(
     for component, column in zip(components, values.reshape(-1, 3).T, strict=True):
         acceleration = unit.to_si(column)
         peak = peaks_text.partition(f"({component})")[2].split()
-        if peak and number(peak[0]) is not None:
+        if peak and parse_number(peak[0]) is not None:
             check_peak_about_any_mean(source.place(peaks_at), peak[0], unit, acceleration)
         attribution = (
             ("format", "AFAD ASCII"),

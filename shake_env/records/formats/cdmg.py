@@ -17,14 +17,15 @@ from shake_env.records.text.header import (
     LONGEST_LINE,
     behind_blank_lines,
     check_length,
+    check_peak,
     check_peak_about_any_mean,
     count_in,
-    lower,
+    lower_line,
     value_in,
     words_after,
 )
-from shake_env.records.text.source import SourceText, number
-from shake_env.records.units import Unit, check_peak, settle_interval, settle_unit
+from shake_env.records.text.source import SourceText, parse_number
+from shake_env.records.units import Unit, settle_interval, settle_unit
 
 _TEXTS_AT_MOST = 40
 _INTEGERS, _INTEGER_COLUMNS, _INTEGER_WIDTH = 100, 16, 5
@@ -80,7 +81,7 @@ def _channel(
     source: SourceText, start: int, units: Unit | None, sampling_interval: float | None
 ) -> tuple[Record, int]:
     """Return the channel that begins at a line, and the line behind it."""
-    title = lower(source, start)
+    title = lower_line(source, start)
     if "corrected accelerogram" not in title:
         raise source.error(start, "is more than the header above says, and no next channel")
     volume = 1 if "uncorrected accelerogram" in title else 2
@@ -138,7 +139,7 @@ def _uncorrected(
             check_length(source, line, points, (time[-1] - time[0]) / (points - 1), length)
     for phrase in (("max",), ("max.",)):
         line, values_of_line = _find(source, texts, *phrase, must=False)
-        if len(values_of_line) > 1 and number(values_of_line[0]) is not None:
+        if len(values_of_line) > 1 and parse_number(values_of_line[0]) is not None:
             place = source.place(line)
             check_peak_about_any_mean(
                 place, values_of_line[0], settle_unit(place, values_of_line[1], None), values
@@ -162,7 +163,7 @@ def _without_first_column(source: SourceText, first: int, rows: int) -> SourceTe
 def _check_scale(source: SourceText, texts: range, values: FloatArray) -> None:
     """Refuse a root mean square (``RMS ACCLN OF COMPLETE RECORD = .400 G/10``) of another scale."""
     line, words = _find(source, texts, "complete", "record", must=False)
-    if len(words) < 2 or number(words[0]) is None:
+    if len(words) < 2 or parse_number(words[0]) is None:
         return
     tenth = words[1].lower() in _TENTH
     unit = settle_unit(source.place(line), "g" if tenth else words[1], None)
@@ -207,7 +208,7 @@ def _corrected(
     step = value_in(source, step_at, words[0], "a number of seconds")
     step = settle_interval(source.place(step_at), step, sampling_interval)
     at, words = next(
-        ((i, lower(source, i).split()) for i in texts if "corrected data" in lower(source, i)),
+        ((i, lower_line(source, i).split()) for i in texts if "corrected data" in lower_line(source, i)),
         (step_at, [""]),
     )
     points = count_in(source, at, words[0])
@@ -215,7 +216,7 @@ def _corrected(
     blocks: list[FloatArray] = []
     for kind in ("acceleration", "velocity", "displacement"):
         line, values_of_line = _find(source, texts, "peak", kind)
-        if len(values_of_line) < 2 or number(values_of_line[0]) is None:
+        if len(values_of_line) < 2 or parse_number(values_of_line[0]) is None:
             raise source.error(line, "expected a peak and its unit")
         width = len(source.line(index)[:LONGEST_LINE].rstrip()) // 8
         values = source.fields(index, points, 8, width)

@@ -20,15 +20,16 @@ from shake_env.records.text.header import (
     LONGEST_LINE,
     behind_blank_lines,
     check_length,
+    check_peak,
     check_peak_about_any_mean,
     fortran_form,
-    lower,
+    lower_line,
     naming,
     sensor_entries,
     words_after,
 )
-from shake_env.records.text.source import SourceText, number
-from shake_env.records.units import Unit, check_peak, settle_interval, settle_unit
+from shake_env.records.text.source import SourceText, parse_number
+from shake_env.records.units import Unit, settle_interval, settle_unit
 
 _TEXTS_AT_MOST = 40
 _TITLE = re.compile(r"\(format v ?\d\d?\.\d\d? with (\d{1,3}) text lines\)", re.ASCII)
@@ -96,7 +97,7 @@ def parse_cosmos(
 
 def _header(source: SourceText, start: int) -> _Header:
     """Return the header that begins at a line."""
-    title = _TITLE.search(" ".join(lower(source, start).split()))
+    title = _TITLE.search(" ".join(lower_line(source, start).split()))
     if title is None or not 8 <= int(title[1]) <= _TEXTS_AT_MOST:
         raise source.error(
             start, "expected a channel's first line, as '(Format v01.20 with 13 text lines)'"
@@ -106,7 +107,7 @@ def _header(source: SourceText, start: int) -> _Header:
     integers, index = _numbers(source, index, "integer-header", "I")
     reals_at = index
     reals, index = _numbers(source, index, "real-header", "E")
-    words = lower(source, index).split()
+    words = lower_line(source, index).split()
     if len(words) < 2 or not words[0].isdigit() or words[1] != "comment":
         raise source.error(index, "expected the number of comment lines")
     comments = range(index + 1, index + 1 + int(words[0][:9]))
@@ -115,8 +116,8 @@ def _header(source: SourceText, start: int) -> _Header:
             raise source.error(
                 line, f"is no comment, which begins with '|'; line {index + 1} states more"
             )
-    last = lower(source, start + texts - 1).replace(",", " ").replace(":", " ").split()[-2:]
-    values = [number(word) for word in last]
+    last = lower_line(source, start + texts - 1).replace(",", " ").replace(":", " ").split()[-2:]
+    values = [parse_number(word) for word in last]
     unknown = (-999.0, -999.0)
     if len(values) == 2 and values[0] is not None and values[1] is not None:
         unknown = values[0], values[1]
@@ -127,7 +128,7 @@ def _header(source: SourceText, start: int) -> _Header:
 
 def _numbers(source: SourceText, index: int, what: str, form: str) -> tuple[FloatArray, int]:
     """Return the numbers under ``100 Integer-header values follow on 10 lines, Format= (10I8)``."""
-    line = lower(source, index)
+    line = lower_line(source, index)
     words, layout = line.split(), fortran_form(line)
     if len(words) < 2 or words[1] != what or layout is None or layout[1] != form:
         raise source.error(index, f"expected the number of {what} values and their format")
@@ -146,7 +147,7 @@ def _channel(
 ) -> tuple[str, Record | None, int]:
     """Return kind, record (none of a velocity) and the line behind a channel."""
     at = header.data_at
-    line = lower(source, at)
+    line = lower_line(source, at)
     words, layout, unit = line.split(), fortran_form(line), _UNIT.search(line)
     kind = next((kind for kind in _KINDS if kind in line.partition("pts")[0]), None)
     count = int(words[0]) if words and words[0].isdigit() and len(words[0]) < 12 else 0
@@ -165,13 +166,13 @@ def _channel(
 
 def _after(source: SourceText, index: int, kind: str) -> int:
     """Return the line where the next channel begins."""
-    line = lower(source, index)
+    line = lower_line(source, index)
     if line.startswith("end-of-data"):
         if any(other in line for other in _KINDS) and kind not in line:
             raise source.error(index, f"ends other data than the {kind} above")
         index += 1
     index = behind_blank_lines(source, index)
-    if index < len(source) and _TITLE.search(" ".join(lower(source, index).split())) is None:
+    if index < len(source) and _TITLE.search(" ".join(lower_line(source, index).split())) is None:
         raise source.error(index, "is more data than the channel above states, and no next channel")
     return index
 
@@ -236,7 +237,7 @@ def _check_text_peak(source: SourceText, header: _Header, raw: bool, acceleratio
     """Compare the data with ``Processed: 2020/01/02, Max = 95.039 cm/sec2 at 2.000 sec``."""
     index = header.start + 10
     words = words_after(source.line(index)[:LONGEST_LINE], "max")
-    if raw or len(words) < 2 or number(words[0]) is None or float(words[0]) == 0.0:
+    if raw or len(words) < 2 or parse_number(words[0]) is None or float(words[0]) == 0.0:
         return
     unit = settle_unit(source.place(index), words[1], None)
     check_peak_about_any_mean(source.place(index), words[0], unit, acceleration)
@@ -254,7 +255,7 @@ def _seed_code(source: SourceText, comments: range) -> str:
 
 def _channels(source: SourceText, index: int) -> tuple[int, ...]:
     """Return the numbers of ``( 1 Chns of 3 at Sta)``: in the recorder, at the station."""
-    piece = next((piece for piece in lower(source, index).split("(") if "chns" in piece), "")
+    piece = next((piece for piece in lower_line(source, index).split("(") if "chns" in piece), "")
     words = piece.partition(")")[0].split()
     return tuple(int(word) for word in words if word.isdigit() and len(word) < 6)
 

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 from shake_env.model.parameters import FloatArray
 from shake_env.records.record import Record
-from shake_env.records.text.source import SourceText, number
-from shake_env.records.units import Unit, check_peak, settle_interval, settle_unit
+from shake_env.records.text.header import check_peak
+from shake_env.records.text.source import SourceText, parse_number
+from shake_env.records.units import Unit, settle_interval, settle_unit
 
 _CHANNEL_HEADER = 80  # lines at most
 _COLUMNS = 8
@@ -149,7 +150,7 @@ def _read_block(source: SourceText, index: int, kind: str, width: int) -> _Block
     match = _BLOCK.fullmatch(source.line(index))
     if match is None or (match[2] or "accel").lower() != kind:
         raise source.error(index, f"expected the count, step and unit of the {kind} data")
-    count, rate_or_step, rest = int(match[1][:18]), number(match[3] or match[4]), match[5]
+    count, rate_or_step, rest = int(match[1][:18]), parse_number(match[3] or match[4]), match[5]
     if rate_or_step is None or rate_or_step <= 0.0:
         raise source.error(index, "the step must be a number above 0")
     if count < 2:
@@ -251,7 +252,7 @@ def _check_header(source: SourceText, lines: range, points: int, interval: float
                     match[0], f"the block below states a step of {interval:g} s", f"step {step:g} s"
                 )
     match = _search(source, _LENGTH, lines)
-    length = number(match[1][1]) if match else None
+    length = parse_number(match[1][1]) if match else None
     if match and length is not None and abs(points * interval - length) > 2.0 * interval + 1e-3:
         remedy = f"{points} points at {interval:g} s last {points * interval:g} s"
         raise source.error(match[0], remedy, f"Record Length {match[1][1]} sec")

@@ -10,9 +10,16 @@ import numpy as np
 from shake_env.errors import RecordError
 from shake_env.model.parameters import FloatArray
 from shake_env.records.record import Record
-from shake_env.records.text.header import Keyed, fortran_form, keyed_lines, needed, value_in
-from shake_env.records.text.source import SourceText, number
-from shake_env.records.units import Unit, check_peak, settle_interval, settle_unit
+from shake_env.records.text.header import (
+    Keyed,
+    check_peak,
+    fortran_form,
+    keyed_lines,
+    require_line,
+    value_in,
+)
+from shake_env.records.text.source import SourceText, parse_number
+from shake_env.records.units import Unit, settle_interval, settle_unit
 
 _HEADER_LINES = 60  # at most
 _COLUMNS = 4
@@ -41,17 +48,17 @@ def parse_cwa(
     while first < _HEADER_LINES and (source.line(first)[:1] == "#" or not source.line(first).strip()):
         first += 1
     header = keyed_lines(source, 0, first, "#")
-    at, text = needed(source, header, "SampleRate(Hz)", first)
+    at, text = require_line(source, header, "SampleRate(Hz)", first)
     rate = value_in(source, at, text, "a rate in Hz")
     step = settle_interval(source.place(at), 1.0 / rate, sampling_interval)
-    place, text = needed(source, header, "AmplitudeUnit", first)
+    place, text = require_line(source, header, "AmplitudeUnit", first)
     unit = settle_unit(source.place(place), (text.split() or [""])[0].strip(".") or None, units)
     names = _components(source, header, first)
     values = _values(source, header, first)
     table = values.reshape(-1, _COLUMNS)
     _check_times(source, first, table[:, 0], step)
     at, text = header.get("RecordLength(sec)", (0, ""))
-    length = number(text)
+    length = parse_number(text)
     if length is not None and abs(len(table) - length / step) > 0.5:  # what else tells a lost row
         remedy = f"{len(table)} samples at {step:g} s last {len(table) * step:g} s"
         raise source.error(at, remedy, f"length {length:g} s")
@@ -71,7 +78,7 @@ def parse_cwa(
 
 def _components(source: SourceText, header: Keyed, last: int) -> list[str]:
     """Return the components by their order, of ``Time U(+); N(+); E(+)``."""
-    at, text = needed(source, header, "DataSequence", last)
+    at, text = require_line(source, header, "DataSequence", last)
     words = text.replace(";", " ").split()
     names = [word.removesuffix("(+)") for word in words[1:]]
     if words[:1] != ["Time"] or sorted(names) != ["E", "N", "U"]:
@@ -107,7 +114,7 @@ def _check_peak(
     if not text:
         return
     extremes = [part.strip() for part in text.split("~")]
-    if len(extremes) != 2 or number(extremes[0]) is None or number(extremes[1]) is None:
+    if len(extremes) != 2 or parse_number(extremes[0]) is None or parse_number(extremes[1]) is None:
         raise source.error(at, "expected the largest and the smallest value, as in '6.999~ -7.118'")
     place = source.place(at)
     try:

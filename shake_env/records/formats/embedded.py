@@ -12,7 +12,7 @@ from shake_env.errors import RecordError
 from shake_env.files import write_text
 from shake_env.model.parameters import GRAVITY, FloatArray
 from shake_env.records.record import Record
-from shake_env.records.text.source import SourceText, number
+from shake_env.records.text.source import SourceText, parse_number
 from shake_env.records.units import Unit, settle_interval, unit_named
 
 _NEEDED = (
@@ -116,7 +116,7 @@ def _header(source: SourceText) -> tuple[dict[str, str], int]:
 
 
 def _number(name: str, header: dict[str, str], key: str) -> float:
-    value = number(header[key])
+    value = parse_number(header[key])
     if value is None:
         raise RecordError(f"{name}, {key}", header[key], "must be a finite number")
     return value
@@ -149,7 +149,7 @@ def write_record(record: Record, path: str | PathLike[str]) -> Path:
     path = Path(path)
     values, unit = _in_g(record.acceleration)
     header = dict(record.attribution)
-    if number(header.get("sampling_interval_s", "")) != record.sampling_interval:
+    if parse_number(header.get("sampling_interval_s", "")) != record.sampling_interval:
         header["sampling_interval_s"] = repr(float(record.sampling_interval))
     header["points"] = str(len(values))
     header["units"] = unit

@@ -10,14 +10,15 @@ from shake_env.records.record import Record
 from shake_env.records.text.header import (
     LONGEST_LINE,
     check_length,
+    check_peak,
     count_in,
     keyed_lines,
-    needed,
+    require_line,
     sensor_entries,
     value_in,
 )
-from shake_env.records.text.source import SourceText, number
-from shake_env.records.units import Unit, check_peak, settle_interval, settle_unit
+from shake_env.records.text.source import SourceText, parse_number
+from shake_env.records.units import Unit, settle_interval, settle_unit
 
 _HEADER_LINES = 120  # at most
 
@@ -46,9 +47,9 @@ def parse_esm(
     at, kind = header.get("DATA_TYPE", (0, "ACCELERATION"))
     if kind.upper() != "ACCELERATION":
         raise source.error(at, "the file holds no acceleration: give the file ACC")
-    at, text = needed(source, header, "NDATA", first)
+    at, text = require_line(source, header, "NDATA", first)
     points = count_in(source, at, text)
-    place, text = needed(source, header, "SAMPLING_INTERVAL_S", first)
+    place, text = require_line(source, header, "SAMPLING_INTERVAL_S", first)
     step = settle_interval(
         source.place(place), value_in(source, place, text, "a number of seconds"), sampling_interval
     )
@@ -59,10 +60,10 @@ def parse_esm(
         raise source.error(at, f"the file holds {len(values)} values", f"NDATA {points}")
     acceleration = unit.to_si(values)
     length_at, text = header.get("DURATION_S", (0, ""))
-    if (length := number(text)) is not None:
+    if (length := parse_number(text)) is not None:
         check_length(source, length_at, points, step, length)
     for key, (peak_at, text) in header.items():
-        if key.startswith("PGA_") and number(text) is not None:
+        if key.startswith("PGA_") and parse_number(text) is not None:
             stated = settle_unit(source.place(peak_at), key.removeprefix("PGA_"), None)
             check_peak(source.place(peak_at), text, stated, acceleration)
     stream = header.get("STREAM", (0, ""))[1]

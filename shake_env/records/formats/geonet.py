@@ -12,14 +12,15 @@ from shake_env.records.record import Record
 from shake_env.records.text.header import (
     LONGEST_LINE,
     check_length,
+    check_peak,
     check_step,
     count_in,
-    lower,
+    lower_line,
     value_in,
     words_after,
 )
-from shake_env.records.text.source import SourceText, number
-from shake_env.records.units import Unit, check_peak, settle_interval, settle_unit
+from shake_env.records.text.source import SourceText, parse_number
+from shake_env.records.units import Unit, settle_interval, settle_unit
 
 _TEXTS, _INTEGERS, _REALS = 16, 40, 60
 _HEADER = _TEXTS + (_INTEGERS + _REALS) // 10
@@ -62,7 +63,7 @@ def _component(
     """Return the component that begins at a line, and the line behind it."""
     if not is_geonet(source.line(start)[:LONGEST_LINE].encode()):
         raise source.error(start, "is more than the header above says, and no next component")
-    volume = 1 if lower(source, start).startswith("uncorrected") else 2
+    volume = 1 if lower_line(source, start).startswith("uncorrected") else 2
     points, length = _count(source, start + _COUNT)
     step, unit = _step_and_unit(source, start, units)
     step = settle_interval(source.place(start + _SCALE), step, sampling_interval)
@@ -82,7 +83,7 @@ def _component(
             source.fields(index, count, 10, 8)
         index += -(-count // 10)
     words = words_after(source.line(start + _PEAK)[:LONGEST_LINE], "peak")
-    if not words or number(words[0]) is None or len(words) < 2:
+    if not words or parse_number(words[0]) is None or len(words) < 2:
         raise source.error(start + _PEAK, "expected the peak of the acceleration and its unit")
     place = source.place(start + _PEAK)
     check_peak(place, words[0], settle_unit(place, words[1], None), acceleration)
@@ -119,7 +120,7 @@ def _step_and_unit(source: SourceText, start: int, units: Unit | None) -> tuple[
     step = step or words_after(line, "data", "at")
     if not step:
         raise source.error(index, "expected 'at intervals of 0.005 s'")
-    if scale and (len(scale) < 2 or number(scale[0]) != 1.0):
+    if scale and (len(scale) < 2 or parse_number(scale[0]) != 1.0):
         raise source.error(index, "readings in units of 1.00 mm/s/s only are understood")
     peak = words_after(source.line(start + _PEAK)[:LONGEST_LINE], "peak")
     stated = scale[1] if scale else (peak[1] if len(peak) > 1 else None)

@@ -11,8 +11,9 @@ import re
 import numpy as np
 
 from shake_env.records.record import Record
-from shake_env.records.text.source import SourceText, number
-from shake_env.records.units import Unit, check_peak, settle_interval, unit_named
+from shake_env.records.text.header import check_peak
+from shake_env.records.text.source import SourceText, parse_number
+from shake_env.records.units import Unit, settle_interval, unit_named
 
 _HEADER_LINES = 24  # at most
 _KEY = 18  # characters
@@ -70,7 +71,7 @@ def parse_knet(
     if units is not None and units != unit:
         raise source.error(at, f"the file's own unit gal differs from the given {units}")
     at, text = header["Duration Time(s)"]
-    duration = number(text)
+    duration = parse_number(text)
     if duration is None or duration <= 0.0:
         raise source.error(at, "expected a number of seconds above 0")
     counts = source.numbers(first, len(source), whole=True)
@@ -82,7 +83,7 @@ def parse_knet(
     counts /= float(scale[3])
     acceleration = unit.to_si(counts, out=counts)
     at, text = header[_PEAK]
-    if number(text) is None:
+    if parse_number(text) is None:
         raise source.error(at, "expected the largest acceleration in gal, which the scale is checked by")
     extremes = np.array([np.min(acceleration), np.max(acceleration)])
     check_peak(source.place(at), text, unit, extremes - np.mean(acceleration))

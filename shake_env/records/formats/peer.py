@@ -12,7 +12,7 @@ from shake_env.errors import RecordError
 from shake_env.model.parameters import FloatArray
 from shake_env.records.record import Record
 from shake_env.records.text.layout import Layout
-from shake_env.records.text.source import SourceText, number
+from shake_env.records.text.source import SourceText, parse_number
 from shake_env.records.units import Unit, settle_interval, settle_unit, unit_in_words
 
 _HEADER_LINES = 16  # at most
@@ -50,10 +50,10 @@ def parse_peer(
     row = next((i for i in range(_HEADER_LINES) if _is_counted(source.line(i))), 0)
     matches = [match for pattern in _COUNTS if (match := pattern.fullmatch(source.line(row)))]
     step_text = matches[0][2] if matches else ""
-    if not matches or number(step_text) is None:
+    if not matches or parse_number(step_text) is None:
         raise source.error(row, "expected 'NPTS=  4000, DT=  .0100 SEC' or '4000  0.0100  NPTS, DT'")
     points = int(matches[0][1][:18])  # a longer count is absurd, and is refused as such
-    step = settle_interval(source.place(row), number(step_text), sampling_interval)
+    step = settle_interval(source.place(row), parse_number(step_text), sampling_interval)
     stated = None
     for index in range(row):
         line = source.line(index)

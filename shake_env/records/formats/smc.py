@@ -12,13 +12,14 @@ from shake_env.model.parameters import FloatArray
 from shake_env.records.record import Record
 from shake_env.records.text.header import (
     LONGEST_LINE,
+    check_peak,
     check_peak_about_any_mean,
-    lower,
+    lower_line,
     sensor_entries,
     words_after,
 )
-from shake_env.records.text.source import SourceText, number
-from shake_env.records.units import Unit, check_peak, settle_interval, settle_unit
+from shake_env.records.text.source import SourceText, parse_number
+from shake_env.records.units import Unit, settle_interval, settle_unit
 
 _TEXTS, _INTEGERS, _REALS = 11, 48, 50
 _FASTEST = 1e5  # Hz; some files hold nonsense above it
@@ -47,7 +48,7 @@ def parse_smc(
         If the file holds no acceleration, or counts or peaks in its header are not the data's.
     """
     source = SourceText(name, data)
-    kind = _KINDS.get(" ".join(lower(source, 0).split()))
+    kind = _KINDS.get(" ".join(lower_line(source, 0).split()))
     if kind is None:
         raise source.error(0, "the file holds no acceleration: give the accelerogram")
     integers = source.fields(_TEXTS, _INTEGERS, 8, 10, "I").astype(np.int64)
@@ -97,7 +98,7 @@ def _check_peaks(
         check_peak(source.place(reals_at + 5), stated, unit, acceleration)
     for phrase in (("pk", "acc"), ("pk",)):
         words = words_after(source.line(6)[:LONGEST_LINE], *phrase)
-        if words and number(words[0]) is not None and float(words[0]) > 0.0:
+        if words and parse_number(words[0]) is not None and float(words[0]) > 0.0:
             check_peak_about_any_mean(source.place(6), words[0], unit, acceleration)
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from shake_env.errors import RecordError
 from shake_env.model.parameters import FloatArray
 from shake_env.records.record import Record
-from shake_env.records.text.source import SourceText, number
-from shake_env.records.units import Unit, check_peak
+from shake_env.records.text.source import SourceText, parse_number
+from shake_env.records.units import Unit
 
 LARGEST_TABLE = 4_000_000  # numbers of a binary file
 LONGEST_LINE = 2000  # characters of a header line that are looked at
@@ -25,7 +25,7 @@ _LENGTH = 0.006  # s: what a length of two decimals may be off, beside half a st
 Keyed = dict[str, tuple[int, str]]
 
 
-def lower(source: SourceText, index: int) -> str:
+def lower_line(source: SourceText, index: int) -> str:
     """Return the beginning of a header's line in lower case, blanks at its ends taken off."""
     return source.line(index)[:LONGEST_LINE].strip().lower()
 
@@ -58,7 +58,7 @@ def keyed_lines(source: SourceText, first: int, last: int, marker: str = "") -> 
     return header
 
 
-def needed(source: SourceText, header: Keyed, key: str, last: int) -> tuple[int, str]:
+def require_line(source: SourceText, header: Keyed, key: str, last: int) -> tuple[int, str]:
     """Return line and text of a key that a record's header must hold.
 
     Raises
@@ -92,7 +92,7 @@ def value_in(source: SourceText, index: int, text: str, what: str) -> float:
     RecordError
         If it is none; the message says that it must be `what`.
     """
-    value = number(text)
+    value = parse_number(text)
     if value is None or value <= 0.0:
         raise source.error(index, f"expected {what}, a number above 0")
     return value
@@ -144,13 +144,40 @@ def check_step(source: SourceText, index: int, step: float, stated: float) -> No
         raise source.error(index, f"the header's other step is {step:g} s", f"step {stated:g} s")
 
 
+def check_peak(place: str, stated: str, unit: Unit, acceleration: FloatArray) -> None:
+    """Refuse data whose peak is not the one that the header prints: a wrong unit, or damage.
+
+    Parameters
+    ----------
+    place
+        File and line of the header's peak.
+    stated
+        The peak as printed.
+    unit
+        Its unit.
+    acceleration
+        (points,) [m/s^2].
+
+    Raises
+    ------
+    RecordError
+        If they differ by more than 2 % and the last printed digit.
+    """
+    expected = abs(float(unit.to_si(np.asarray(float(stated)))))
+    digit = float(unit.to_si(np.asarray(10.0 ** -len(stated.partition(".")[2]))))
+    peak = max(-float(np.min(acceleration)), float(np.max(acceleration)))
+    if not (math.isfinite(expected) and abs(peak - expected) <= 0.02 * expected + digit):
+        remedy = f"the data's own peak is {peak / float(unit.to_si(np.asarray(1.0))):.6g} {unit}"
+        raise RecordError(place, f"peak {stated}", f"{remedy}: the file is damaged or its unit wrong")
+
+
 def check_peak_about_any_mean(place: str, stated: str, unit: Unit, acceleration: FloatArray) -> None:
     """Refuse a peak that the data (points,) [m/s^2] have neither about zero nor about their mean.
 
     Raises
     ------
     RecordError
-        As :func:`shake_env.records.units.check_peak` does.
+        As :func:`check_peak` does.
     """
     try:
         check_peak(place, stated, unit, acceleration - np.mean(acceleration))

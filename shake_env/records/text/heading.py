@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass, field
 
 from shake_env.records.text.layout import Layout
-from shake_env.records.text.source import NUMBER, SourceText, number
+from shake_env.records.text.source import NUMBER, SourceText, parse_number
 from shake_env.records.text.titles import Title, column_title
 from shake_env.records.units import quantity_of, unit_in_words, unit_named
 
@@ -65,7 +65,7 @@ def _count_and_step(line: str) -> tuple[int, float] | None:
     parts = line.strip().lstrip("#%").replace(",", " ").split()
     if len(parts) != 2 or not parts[0].isdecimal() or len(parts[0]) > 9:
         return None
-    step = number(parts[1])
+    step = parse_number(parts[1])
     return (int(parts[0]), step) if step is not None and 0.0 < step <= 1.0 else None
 
 
@@ -127,7 +127,7 @@ def _read_entry(
     inside = _BRACKETED.search(key)
     value, _, unit = text.strip().partition(" ")
     unit = unit.strip(" .,") or (inside[1].strip() if inside else "")
-    amount = number(value.rstrip(","))
+    amount = parse_number(value.rstrip(","))
     if plain in _POINTS:
         if amount is None or not amount.is_integer() or amount > 1e9:
             raise source.error(index, "must be a number of points", text)

@@ -57,7 +57,7 @@ class Layout:
         if block.translate(None, allowed):
             return None
         tokens = self.token_starts(block)
-        values = parsed(block.replace(self.separator.encode(), b" ") if self.separator else block)
+        values = parse_block(block.replace(self.separator.encode(), b" ") if self.separator else block)
         if values is None or len(values) != len(tokens) or not np.isfinite(values).all():
             return None
         return values if self._laid_out(block, tokens, lines) else None
@@ -86,7 +86,7 @@ class Layout:
         return bool(np.all(between > table[:, :per_line]) and np.all(between < limits))
 
 
-def parsed(block: bytes) -> FloatArray | None:
+def parse_block(block: bytes) -> FloatArray | None:
     """Return the numbers in a block of a record's text, or None where something is not a number."""
     if not block.strip():  # which fromstring would read as -1
         return np.empty(0)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from shake_env.errors import RecordError
 from shake_env.model.parameters import FloatArray
-from shake_env.records.text.layout import Layout, parsed
+from shake_env.records.text.layout import Layout, parse_block
 
 Positions = NDArray[np.int64]
 # re.ASCII, for Python's own digits include other alphabets'.
@@ -31,7 +31,7 @@ _ROWS_AT_ONCE = 256
 _INDEXED = 64  # lines: one of so many has its position stored
 
 
-def number(text: str) -> float | None:
+def parse_number(text: str) -> float | None:
     """Return the finite number that a record's `text` is, or None."""
     plain = text.strip()
     if not NUMBER.fullmatch(plain):
@@ -321,7 +321,7 @@ class SourceText:
             at_field = f"in field {int(spoilt[0]) % per_line + 1} of {per_line}"
             what = "is no number" if spoilt[0] < count else f"is more than {count} points"
             raise self.error(first + field_row, f"{what}, {at_field}, {width} columns each", text)
-        values = parsed(table.reshape(-1)[: count * (width + 1)].tobytes())
+        values = parse_block(table.reshape(-1)[: count * (width + 1)].tobytes())
         if values is None or len(values) != count:
             raise self.error(first, f"cannot be read in columns of {width} characters")
         return values

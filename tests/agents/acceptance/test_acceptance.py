@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from agents.acceptance.clauses import accept, test_spectrum
+from agents.acceptance.clauses import accept, measured_spectrum
 from agents.acceptance.matching import compatible_motion
 from agents.acceptance.required import RequiredSpectrum, ac156, ieee_693, read_required_spectrum
 from agents.acceptance.rules import AcceptanceRules
@@ -62,7 +62,7 @@ def test_analytic_sine():
     # At resonance a long sine is amplified by 1 / (2 zeta), a stiff oscillator follows it.
     t = STEP * np.arange(round(30.0 / STEP))
     motion = 3.0 * np.sin(2.0 * math.pi * 2.0 * t) * np.clip(t / 8.0, 0.0, 1.0)
-    found = test_spectrum(motion, STEP, np.array([2.0, 4.0, 32.0]), 0.05)
+    found = measured_spectrum(motion, STEP, np.array([2.0, 4.0, 32.0]), 0.05)
     ratio = np.array([2.0 / 2.0, 2.0 / 4.0, 2.0 / 32.0])
     steady = 3.0 / np.sqrt((1.0 - ratio**2) ** 2 + (0.1 * ratio) ** 2)
     assert found == pytest.approx(steady, rel=0.01)
@@ -116,7 +116,7 @@ MATCHED = compatible_motion(ac156(1.0))
 )
 def test_a_motion_that_fails_at_one_ordinate(ratios, failed):
     frequency = RULES.frequencies
-    trs = test_spectrum(MATCHED.acceleration, STEP, frequency, 0.05)
+    trs = measured_spectrum(MATCHED.acceleration, STEP, frequency, 0.05)
     share = np.ones(len(frequency)) * (1.0 + 1e-9)
     for place, ratio in ratios.items():
         share[place] = ratio

@@ -15,19 +15,19 @@ from agents.deployment.accuracy import (
     SANITIZED,
     SINGLE,
     STEP,
+    action_differences,
     agreement,
-    differences,
     random_observations,
-    streamed,
+    run_test_program,
 )  # fmt: skip
-from agents.deployment.c_source import number, render_program, write_program
+from agents.deployment.c_source import c_number, render_program, write_program
 from agents.deployment.compiled import CompiledController, CompiledProgram, build_test
 from agents.deployment.controller_program import as_program, controller_program
 from agents.deployment.exported import NOT_EXPORTED, exported
 from agents.deployment.laws import block_of
 from agents.deployment.plant import plant_program
 from agents.deployment.recorded import record_decisions
-from agents.deployment.widened import widened
+from agents.deployment.widened import to_float64
 from agents.policies.policy_file import PolicyFile
 from agents.policies.recurrent_cells import GatedUnit, LongShortTermUnit
 from agents.policies.registry import controllers, get_controller, policies_trained_for
@@ -72,12 +72,13 @@ CASES = [
 def test_a_program_decides_as_python_does(scenario, name, supervised):
     scenario = make_scenario(scenario, {"duration": 1.0})
     program, controller = controller_program(name, scenario, supervised=supervised)
-    decisions = record_decisions(widened(controller), scenario, noise_earthquakes(scenario, 3))
-    assert_exact(differences(CompiledProgram(program), decisions))
+    decisions = record_decisions(to_float64(controller), scenario, noise_earthquakes(scenario, 3))
+    assert_exact(action_differences(CompiledProgram(program), decisions))
     assert np.ptp(decisions.actions) > 1e-3
     if not supervised:
         assert (
-            differences(CompiledProgram(replace(program, precision="float32")), decisions).max() < SINGLE
+            action_differences(CompiledProgram(replace(program, precision="float32")), decisions).max()
+            < SINGLE
         )
 
 
@@ -110,7 +111,7 @@ def test_the_test_program_is_clean_under_sanitizers(written, cc):
     test = build_test(folder, program.name, SANITIZED, shutil.which(cc))
     checked = subprocess.run([str(test)], capture_output=True, text=True, check=False)
     assert checked.returncode == 0 and checked.stdout.startswith("ok: 50 periods"), checked.stderr
-    codes, outputs = streamed([test], decisions.fresh[:, 1], decisions.observations[:, 1])
+    codes, outputs = run_test_program([test], decisions.fresh[:, 1], decisions.observations[:, 1])
     assert not codes.any()
     assert_exact(np.abs(outputs[:, 0] - decisions.actions[:, 1]))
 
@@ -131,7 +132,7 @@ def test_the_test_program_is_clean_under_valgrind(written):
     folder, program, decisions = written
     test = build_test(folder, program.name, ("-O1", "-g"))
     command = ["valgrind", "--error-exitcode=9", "--leak-check=full", "-q", test]
-    codes, _ = streamed(command, decisions.fresh[:, 0], decisions.observations[:, 0])
+    codes, _ = run_test_program(command, decisions.fresh[:, 0], decisions.observations[:, 0])
     assert not codes.any()
 
 
@@ -169,7 +170,7 @@ def test_what_is_not_finite_is_refused_and_the_rest_decided(name):
     np.testing.assert_array_equal(codes != 0, ~finite)
     assert not outputs[~finite].any()
     with np.errstate(all="ignore"):
-        actions, _ = decide(widened(controller), rows)
+        actions, _ = decide(to_float64(controller), rows)
     # Python refuses an action that is no number; what it takes is decided the same.
     assert np.isfinite(actions[finite]).all()
     assert_exact(np.abs(outputs[finite] - actions[finite]))
@@ -201,7 +202,7 @@ def test_the_controller_says_that_it_refused():
 def test_a_supervised_program_takes_every_observation_as_python_does():
     scenario = make_scenario("laboratory", {"duration": 1.0})
     program, controller = controller_program("pid", scenario, supervised=True)
-    controller = widened(controller)
+    controller = to_float64(controller)
     rng = np.random.default_rng(3)
     decisions = record_decisions(
         make_baseline("pid", scenario), scenario, noise_earthquakes(scenario, 4)
@@ -243,9 +244,9 @@ def test_every_network_is_exported(unit, gates, direct, activation, output):
         card={"made": "here"}, direct=direct,
         memory=unit(array(6 * gates, 4), array(6 * gates, 6), array(6 * gates), array(6 * gates)),
     )  # fmt: skip
-    decisions = record_decisions(widened(policy), scenario, noise_earthquakes(scenario, 2))
+    decisions = record_decisions(to_float64(policy), scenario, noise_earthquakes(scenario, 2))
     program = as_program(policy, scenario, "made", "a made policy", {"made": 'by "a" test'})
-    assert_exact(differences(CompiledProgram(program), decisions))
+    assert_exact(action_differences(CompiledProgram(program), decisions))
 
 
 @pytest.mark.parametrize("scenario", ["linear", "unknown-specimen"])
@@ -253,12 +254,12 @@ def test_every_network_is_exported(unit, gates, direct, activation, output):
 def test_the_adaptive_controller_is_exported(scenario, masses):
     uncertain = Uncertainty(mass_ratio=masses, storey_frequency=Uniform(5.0, 9.0))
     scenario = replace(make_scenario(scenario, {"duration": 1.0}), uncertainty=uncertain)
-    controller = CertaintyEquivalence(scenario, SpecimenBank.of(scenario, 3, 2))
+    controller = CertaintyEquivalence(scenario, SpecimenBank.from_scenario(scenario, 3, 2))
     decisions = record_decisions(controller, scenario, noise_earthquakes(scenario, 3))
     program = as_program(controller, scenario, "made", "certainty equivalence", {"made": "here"})
-    assert_exact(differences(CompiledProgram(program), decisions))
+    assert_exact(action_differences(CompiledProgram(program), decisions))
     single = CompiledProgram(replace(program, precision="float32"))
-    assert differences(single, decisions).max() < SINGLE
+    assert action_differences(single, decisions).max() < SINGLE
     assert np.ptp(decisions.actions) > 0.01
 
 
@@ -311,8 +312,8 @@ def test_a_class_that_plans_is_refused():
 
 @pytest.mark.parametrize("value", [0.1, -1e-300, 3.0, 1e22, 0.0, 2.5e-8])
 def test_a_constant_has_exactly_its_value(value):
-    assert float(number(value)) == value
-    assert np.float32(number(value, "float32").rstrip("F")) == np.float32(value)
+    assert float(c_number(value)) == value
+    assert np.float32(c_number(value, "float32").rstrip("F")) == np.float32(value)
 
 
 # The table
@@ -321,7 +322,7 @@ def test_a_constant_has_exactly_its_value(value):
 @pytest.mark.parametrize("name", ["linear", "laboratory", "yielding", "unknown-specimen", "field"])
 def test_the_exported_table_moves_as_the_simulated_one(name):
     scenario = make_scenario(name)
-    program, model = plant_program(scenario), TableModel.of(scenario)
+    program, model = plant_program(scenario), TableModel.from_scenario(scenario)
     compiled = CompiledProgram(program)
     memory, sensors = compiled.begin(1), model.measurement.rest(1)
     rows = floor_rows(scenario.plant, scenario.nonlinearity.yielding)

@@ -15,7 +15,7 @@ from agents.deployment.rehearsal.guard import HoldThenBrake
 from agents.deployment.rehearsal.log import draw_timing, recorded_log, write_periods
 from agents.deployment.rehearsal.rehearse import RehearsalPlan, rehearse, unnoticed
 from agents.deployment.rehearsal.table import Rehearsal, TableProcess
-from agents.laboratory.logs.findings import findings
+from agents.laboratory.logs.findings import channel_faults
 from agents.laboratory.logs.log_file import read_log
 from agents.laboratory.logs.recorder import LogRecorder
 from shake_env import make_scenario
@@ -183,7 +183,9 @@ def test_c_survives_every_fault_and_each_is_noticed(tmp_path):
     # What the controller is shown in a period is what a recorder takes at the end of the one before.
     shown = [float(row["shown measured_table_displacement [m]"]) for row in rows]
     np.testing.assert_allclose(log.channels["table_displacement"][:-1], shown[1:], rtol=1e-8)
-    assert any(each.kind == "stuck" for each in findings(log))  # the sensor that stuck, as in any log
+    assert any(
+        each.kind == "stuck" for each in channel_faults(log)
+    )  # the sensor that stuck, as in any log
 
 
 @needs_compiler

@@ -62,12 +62,12 @@ def test_a_perfect_test_is_perfect_and_a_scaled_one_is_seen():
             reference=trace.reference,
         )
 
-    perfect = fidelity(scaled(1.0), 1e-3, 2)
+    perfect = fidelity(scaled(1.0), 1e-3)
     assert (perfect.spectral_error, perfect.arias_ratio) == (0.0, 1.0)
     assert perfect.delay == pytest.approx(0.0, abs=1e-5)
     assert perfect.drift_ratio == perfect.energy_ratio == 1.0
-    louder = fidelity(scaled(1.2), 1e-3, 2)
+    louder = fidelity(scaled(1.2), 1e-3)
     assert louder.spectral_error == 1.0 and louder.drift_ratio == pytest.approx(1.2)
     assert louder.arias_ratio == pytest.approx(1.44) == pytest.approx(louder.energy_ratio)
-    real = fidelity(trace, 1e-3, 2)
+    real = fidelity(trace, 1e-3)
     assert 0.0 < real.delay < 0.008 and 0.8 < real.arias_ratio < 1.2

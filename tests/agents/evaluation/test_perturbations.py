@@ -61,7 +61,9 @@ def test_what_is_not_changed_costs_what_shake_compare_says():
     scenario = make_scenario("laboratory", SHORT)
     names = ("lqg-dac", "apg")
     compared = compare(scenario, names, noise=3, records=False, seed=5_000_000)
-    result = robustness(scenario, names, grid=Grid.of(scenario, ("amplitude",)), earthquakes=3)
+    result = robustness(
+        scenario, names, grid=Grid.from_scenario(scenario, ("amplitude",)), earthquakes=3
+    )
     unchanged = point_at(result)
     for name, rows in compared.episodes.items():
         # Side by side with seven other amplitudes a matrix product rounds otherwise.
@@ -70,8 +72,8 @@ def test_what_is_not_changed_costs_what_shake_compare_says():
 
 def test_a_cost_does_not_depend_on_what_else_is_swept():
     scenario = make_scenario("linear", {"duration": 0.4})
-    few = robustness(scenario, ("apg",), grid=Grid.of(scenario, ("delay",)), earthquakes=2)
-    more = Grid.of(scenario, ("delay", "noise", "amplitude"))
+    few = robustness(scenario, ("apg",), grid=Grid.from_scenario(scenario, ("delay",)), earthquakes=2)
+    more = Grid.from_scenario(scenario, ("delay", "noise", "amplitude"))
     assert len(more.maps) == 1
     many = robustness(scenario, ("apg",), grid=more, earthquakes=2)
     for delay in (0.0, 1.0):
@@ -107,7 +109,7 @@ def test_a_controller_is_shown_si_in_the_nominal_scale(name):
 def test_values_hold_what_they_are_made_for_and_reach_beyond_training():
     for name in ("linear", "laboratory", "unknown-specimen", "yielding"):
         scenario = make_scenario(name)
-        grid = Grid.of(scenario)
+        grid = Grid.from_scenario(scenario)
         assert set(grid.sweeps) == set(QUANTITIES)
         for each, values in grid.sweeps.items():
             assert nominal_value(scenario, each) in values
@@ -120,13 +122,17 @@ def test_values_hold_what_they_are_made_for_and_reach_beyond_training():
 
 def test_printed_equations_have_neither_friction_nor_delay():
     scenario = make_scenario("as-printed", {"duration": 0.4})
-    grid = Grid.of(scenario)
+    grid = Grid.from_scenario(scenario)
     assert set(QUANTITIES) - set(grid.sweeps) == {"coulomb_friction", "delay"}
     quantities = ("mass_ratio", "damping_ratio")
-    found = robustness(scenario, ("none",), grid=Grid.of(scenario, quantities, False), earthquakes=1)
+    found = robustness(
+        scenario, ("none",), grid=Grid.from_scenario(scenario, quantities, False), earthquakes=1
+    )
     assert {name for point in found["points"] for name in point["changes"]} == set(quantities)
     with pytest.raises(ScenarioError, match="needs equations"):
-        robustness(scenario, ("none",), grid=Grid.of(scenario, ("delay",), False), earthquakes=1)
+        robustness(
+            scenario, ("none",), grid=Grid.from_scenario(scenario, ("delay",), False), earthquakes=1
+        )
 
 
 def test_a_drawn_quantity_is_held_and_the_others_stay_drawn():

@@ -18,7 +18,9 @@ from agents.policies.registry import shipped_policy
 from agents.reporting.evaluation_tables import evaluation_markdown, put_tables
 from agents.seeds import (
     COMPARISON_SEED,
+    COVERAGE_SEED,
     EVALUATION_SEED,
+    FORECAST_SEED,
     MOST_RUNS,
     ROBUSTNESS_SEED,
     RUN_SEEDS,
@@ -113,7 +115,10 @@ def test_an_evaluation_is_repeated_exactly(scenario, two_seeds, result):
 
 
 def test_test_earthquakes_are_nobody_elses():
-    starts = [0, EVALUATION_SEED, COMPARISON_SEED, VALIDATION_SEED, TEST_SEED, ROBUSTNESS_SEED]
+    starts = [
+        0, EVALUATION_SEED, COMPARISON_SEED, VALIDATION_SEED, TEST_SEED, ROBUSTNESS_SEED, FORECAST_SEED,
+        COVERAGE_SEED,
+    ]  # fmt: skip
     assert MOST_RUNS * RUN_SEEDS <= EVALUATION_SEED
     assert starts == sorted(starts)
     assert min(np.diff(starts)) >= 1_000_000

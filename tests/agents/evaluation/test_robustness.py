@@ -60,7 +60,7 @@ def test_mistakes_name_value_and_remedy(words, message, capsys):
     assert main(["robustness", *words]) == 2
     assert message in capsys.readouterr().err
     with pytest.raises(ScenarioError):
-        Grid.of(make_scenario("linear"), ("weight",))
+        Grid.from_scenario(make_scenario("linear"), ("weight",))
 
 
 @pytest.fixture(scope="module")

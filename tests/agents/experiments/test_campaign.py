@@ -17,7 +17,7 @@ from agents.evaluation.protocol import evaluate, find_entry
 from agents.execution.local_executor import LocalExecutor
 from agents.experiments.catalogue import EVALUATION_TASKS, EXPERIMENTS, EvaluationTask, ExperimentConfig
 from agents.experiments.results import evaluate_task
-from agents.experiments.runner import Campaign, plan, plan_rows
+from agents.experiments.runner import Campaign, plan_rows, plan_runs
 from agents.policies.base_law import base_law
 from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.policy_file import load_policy
@@ -59,9 +59,9 @@ def campaigned(tmp_path_factory):
             raise KeyboardInterrupt
 
     with LocalExecutor(1) as executor, pytest.raises(KeyboardInterrupt):
-        Campaign(plan([GOOD], folder)).run(executor, cut)
+        Campaign(plan_runs([GOOD], folder)).run(executor, cut)
     assert not (folder / "linear/ppo/0/result.json").exists()
-    begun = plan([GOOD, BAD], folder)
+    begun = plan_runs([GOOD, BAD], folder)
     assert [task.state for task in begun] == ["begun", "waiting"]
     assert 0.0 < begun[0].share < 1.0
     campaign = Campaign(begun)
@@ -94,16 +94,16 @@ def test_a_run_that_fails_is_reported_and_stops_no_other(campaigned):
 
 def test_what_is_done_is_done_and_another_configuration_is_left_alone(campaigned):
     folder, _, _ = campaigned
-    assert plan([GOOD], folder)[0].state == "done"
+    assert plan_runs([GOOD], folder)[0].state == "done"
     changed = ExperimentConfig(
         evaluation_task="linear", config=TrainConfig(total_timesteps=99), minutes=0.1, seeds=1
     )
-    tasks = plan([changed], folder)
+    tasks = plan_runs([changed], folder)
     assert tasks[0].state == "foreign"
     campaign = Campaign(tasks)
     campaign.run(LocalExecutor(1))
     assert "move it away" in campaign.failures()["linear/ppo/0"]
-    assert plan([GOOD], folder)[0].state == "done"
+    assert plan_runs([GOOD], folder)[0].state == "done"
 
 
 def test_an_evaluation_holds_until_its_policies_change(campaigned, tmp_path, monkeypatch):
@@ -164,7 +164,7 @@ def test_a_run_of_another_version_is_foreign_and_never_touched(tmp_path):
     run.mkdir(parents=True)
     (run / "config.json").write_text(json.dumps({**SMALL.to_json(), "an_option_of_then": 1}))
     (run / "policy.safetensors").write_bytes(b"weights")
-    (task,) = plan([GOOD], tmp_path)
+    (task,) = plan_runs([GOOD], tmp_path)
     assert task.state == "foreign"
     with pytest.raises(RunDirectoryError):
         train_or_resume(SMALL, run)
@@ -192,7 +192,7 @@ def test_a_worker_whose_campaign_was_killed_ends(tmp_path):
         "import os, signal, sys\n"
         "from agents.execution.local_executor import LocalExecutor\n"
         "from agents.experiments.catalogue import ExperimentConfig\n"
-        "from agents.experiments.runner import Campaign, plan\n"
+        "from agents.experiments.runner import Campaign, plan_runs\n"
         "from agents.run_directory import parse_json\n"
         "from agents.training.config import config_of\n"
         "from agents.training.checkpoint import checkpoints\n"
@@ -202,7 +202,7 @@ def test_a_worker_whose_campaign_was_killed_ends(tmp_path):
         "if __name__ == '__main__':\n"
         "    config = config_of(parse_json(sys.argv[2]))\n"
         "    one = ExperimentConfig(evaluation_task='linear', config=config, minutes=1.0, seeds=1)\n"
-        "    Campaign(plan([one], sys.argv[1])).run(LocalExecutor(1), cut)\n"
+        "    Campaign(plan_runs([one], sys.argv[1])).run(LocalExecutor(1), cut)\n"
     )
     script = tmp_path / "campaign.py"
     script.write_text(code)
@@ -276,10 +276,10 @@ def test_the_plan_is_printed_with_minutes(tmp_path, capsys):
 
 
 def test_only_names_recipes(tmp_path):
-    assert len(plan(EXPERIMENTS, tmp_path, ["linear/ppo"], 3)) == 3
+    assert len(plan_runs(EXPERIMENTS, tmp_path, ["linear/ppo"], 3)) == 3
     with pytest.raises(ScenarioError, match="did you mean 'linear/ppo'"):
-        plan(EXPERIMENTS, tmp_path, ["linear/pp"])
-    assert {row["experiment"] for row in plan_rows(plan(EXPERIMENTS, tmp_path, ["*/sac"]))} == {
+        plan_runs(EXPERIMENTS, tmp_path, ["linear/pp"])
+    assert {row["experiment"] for row in plan_rows(plan_runs(EXPERIMENTS, tmp_path, ["*/sac"]))} == {
         "linear/sac",
         "yielding/sac",
     }

@@ -10,7 +10,13 @@ import pytest
 
 from agents.__main__ import main
 from agents.execution.units import UnitRunner
-from agents.experiments.controller_tuning import FAILED, keep_tuned_values, search, tune, tune_each
+from agents.experiments.controller_tuning import (
+    FAILED,
+    keep_tuned_values,
+    search_parameters,
+    tune,
+    tune_each,
+)
 from agents.experiments.study_storage import open_study, storage_errors
 from baselines import registry
 from baselines.baseline import Baseline, Tunable
@@ -113,7 +119,9 @@ def test_a_search_that_was_cut_in_its_first_trial_keeps_the_defaults_cost(tmp_pa
 
     def run(name, cost):
         with storage_errors(tmp_path / "t.db"):
-            return search(cost, tunable, tmp_path / "t.db", name, total, 0, lambda *a: None, starts)
+            return search_parameters(
+                cost, tunable, tmp_path / "t.db", name, total, 0, lambda *a: None, starts
+            )
 
     whole = run("whole", cost)
     with pytest.raises(KeyboardInterrupt):

@@ -12,7 +12,7 @@ from small_experiment import SMALL, TINY
 from agents.__main__ import main
 from agents.experiments import catalogue
 from agents.experiments.catalogue import ExperimentConfig
-from agents.experiments.search import Search, find_experiment, open_study, search_training, trace_of
+from agents.experiments.search import Search, find_experiment, open_search, search_training, trace_of
 from agents.experiments.search_figure import search_figure
 from agents.experiments.search_objective import (
     OutOfTimeError,
@@ -114,7 +114,7 @@ def test_a_search_that_was_cut_ends_as_one_that_was_not(whole, tmp_path, late, t
 def test_time_ends_a_search_and_the_trial_stays(tmp_path):
     trace = search_training(SEARCH, tmp_path / "r.db", tmp_path, trials=3, minutes=1e-9)
     assert trace.trials == ()
-    study = open_study(SEARCH, tmp_path / "r.db")
+    study = open_search(SEARCH, tmp_path / "r.db")
     judge = PruningCallback(study.ask(), trial_config(TINY, {}, 0.5), tmp_path, until=0.0)
     with pytest.raises(OutOfTimeError):
         judge(Progress(10, 512, 1.0, None))
@@ -125,7 +125,7 @@ def test_time_ends_a_search_and_the_trial_stays(tmp_path):
 def led(tmp_path):
     """A study, in Optuna's own storage, of five trials that reached a thousandth of the cost."""
     search = replace(SEARCH, share=1.0)
-    study = open_study(search, tmp_path / "r.db")
+    study = open_search(search, tmp_path / "r.db")
     knobs, own = search_space(TINY), own_values(TINY)
     for _ in range(6):
         study.enqueue_trial({knob.name: own[knob.name] for knob in knobs})
@@ -169,10 +169,10 @@ def test_what_is_judged_is_the_policy_that_a_run_keeps(led, tmp_path):
 
 def test_a_storage_with_another_recipe_and_a_foreign_run_are_left_alone(tmp_path):
     storage = tmp_path / "r.db"
-    open_study(SEARCH, storage)
+    open_search(SEARCH, storage)
     other = replace(SEARCH, experiment=replace(TINY, config=replace(SMALL, net_arch=(16,))))
     with pytest.raises(ParameterError, match="another --storage"):
-        open_study(other, storage)
+        open_search(other, storage)
     config, knobs = json.loads(SEARCH.identity())
     del config["episode_duration"]
     assert not SEARCH.same(json.dumps([config, knobs]))
@@ -184,7 +184,7 @@ def test_a_storage_with_another_recipe_and_a_foreign_run_are_left_alone(tmp_path
     (run / "config.json").write_text(json.dumps(SMALL.to_json()))
     with pytest.raises(RunDirectoryError, match="move it away"):
         search_training(SEARCH, storage, tmp_path, trials=1)
-    assert trace_of(SEARCH, open_study(SEARCH, storage)).trials == ()
+    assert trace_of(SEARCH, open_search(SEARCH, storage)).trials == ()
 
 
 def test_two_processes_do_not_run_one_search(tmp_path):

@@ -12,7 +12,7 @@ from rich.console import Console
 from agents.cli.commands import parse
 from agents.laboratory.forecasting.coupling import _base_shear
 from agents.laboratory.forecasting.coverage import forecast_coverage
-from agents.laboratory.forecasting.forecast import advice, forecast, prepared, with_model_error
+from agents.laboratory.forecasting.forecast import advice, centred_scenario, forecast, with_model_error
 from agents.laboratory.forecasting.quantities import OutcomeRecorder
 from baselines.registry import make_baseline
 from shake_env.errors import ParameterError, ScenarioError
@@ -136,7 +136,7 @@ def test_a_rigid_table_blames_the_specimen():
     found = forecast(scenario, ("lqg",), samples=8)[0]
     assert found.coupling.must_model == (found.coupling.error > 0.05)
     assert "specimen" in str(found.coupling)
-    middle = prepared(scenario)
+    middle = centred_scenario(scenario)
     target = target_history(scenario.motion, 1e-3).acceleration
     shear = _base_shear(middle.specimen, target, 1e-3)
     peak = np.abs(np.median(found.outcomes.reference, axis=0)).max()

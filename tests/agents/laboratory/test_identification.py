@@ -12,16 +12,16 @@ from agents.laboratory.identification.consistency import require_motion
 from agents.laboratory.identification.fit import fit
 from agents.laboratory.identification.frequency_response import frequency_response
 from agents.laboratory.identification.identify import identify, model_of, read_prior
-from agents.laboratory.identification.likelihood import Likelihood, LogData, fourier
+from agents.laboratory.identification.likelihood import Likelihood, LogData, fourier_coefficients
 from agents.laboratory.identification.parameters import (
     default_prior,
     nominal_values,
-    plants,
+    plants_at,
     to_scale,
 )
 from agents.laboratory.identification.posterior import Posterior, read_posterior
-from agents.laboratory.identification.prediction import predicted
-from agents.laboratory.identification.sampler import sample
+from agents.laboratory.identification.prediction import predict_response
+from agents.laboratory.identification.sampler import sample_posterior
 from shake_env.errors import FileError, LogError, ParameterError
 from shake_env.motion.targets import RecordedMotion
 from shake_env.rollout import Earthquake, rollout
@@ -52,7 +52,7 @@ def floors():
 def test_a_prediction_is_the_simulation_but_for_the_noise():
     log = laboratory_log()
     scenario = log.scenario
-    readings = predicted([scenario], log.channels["current"], log.measured).readings[0]
+    readings = predict_response([scenario], log.channels["current"], log.measured).readings[0]
     for c, name in enumerate(log.measured):
         error = log.channels[name] - readings[:, c]
         place = scenario.observation.reading_names.index(name)
@@ -68,13 +68,13 @@ def test_each_lane_of_a_batch_is_the_table_alone(name):
     prior = default_prior(scenario)
     names = (*prior.names, "supply_pressure") if name == "laboratory" else prior.names
     prior = default_prior(scenario, names)
-    tables = plants(scenario, names, prior.draw(3, np.random.default_rng(1)))
+    tables = plants_at(scenario, names, prior.draw(3, np.random.default_rng(1)))
     current = 0.02 * np.sin(0.05 * np.arange(200.0) ** 1.3)
     channels = ("table_acceleration", "base_shear", "load_pressure", "table_displacement")
     channels += ("floor_acceleration_1", "floor_acceleration_2")
-    together = predicted(tables, current, channels).readings
+    together = predict_response(tables, current, channels).readings
     for lane, table in enumerate(tables):
-        alone = predicted([table], current, channels).readings[0]
+        alone = predict_response([table], current, channels).readings[0]
         scale = np.abs(alone).max(axis=0)
         assert np.max(np.abs(together[lane] - alone) / scale) < 1e-9
 
@@ -83,7 +83,7 @@ def test_fourier_coefficients_are_orthonormal():
     rng = np.random.default_rng(0)
     for samples in (64, 65):
         signal = rng.standard_normal((samples, 2)) + 5.0
-        coefficients = fourier(signal)
+        coefficients = fourier_coefficients(signal)
         assert coefficients.shape == (samples - 1, 2)
         power = np.sum((signal - signal.mean(axis=0)) ** 2, axis=0)
         np.testing.assert_allclose(np.sum(coefficients**2, axis=0), power, rtol=1e-12)
@@ -110,7 +110,7 @@ def test_a_fit_finds_what_was_put_in():
 def test_what_a_log_cannot_tell_is_named_with_the_excitation_that_would():
     log = laboratory_log()
     result = identify([log], log.scenario, samples=10)
-    words = {each.names: str(each) for each in result.untold}
+    words = {each.names: str(each) for each in result.unidentified}
     assert "as wide as the prior" in words["leakage",]
     assert "large load pressure at low velocity" in words["leakage",]
     assert all(abs(result.fit.correlation[0, i]) <= 1.0 for i in range(3))
@@ -123,9 +123,9 @@ def test_what_the_model_lacks_is_estimated_and_widens_the_posterior():
     friction = replace(parts.friction, static=320.0, coulomb=200.0)
     driven = replace(scenario, nonlinearity=replace(parts, friction=friction))
     log = made(scenario, driven=driven, seconds=5.0, amplitude=0.05)
-    prior, data = default_prior(scenario), [LogData.of(log, scenario)]
-    with_it = fit(Likelihood.of(scenario, prior.names, data), prior)
-    without = fit(Likelihood.of(scenario, prior.names, data), prior, discrepancy=False)
+    prior, data = default_prior(scenario), [LogData.from_log(log, scenario)]
+    with_it = fit(Likelihood.from_data(scenario, prior.names, data), prior)
+    without = fit(Likelihood.from_data(scenario, prior.names, data), prior, discrepancy=False)
     assert max(share.max() for share in with_it.likelihood.shares) > 0.003
     assert np.all(with_it.deviations > 0.99 * without.deviations)
     assert with_it.deviations[-2] > 1.3 * without.deviations[-2]
@@ -145,7 +145,7 @@ def test_shuffled_channels_are_refused_by_name():
 def test_a_log_of_another_rate_or_table_is_refused(tmp_path):
     log = laboratory_log()
     with pytest.raises(LogError, match="another rate"):
-        LogData.of(replace(log, sampling_interval=0.004), log.scenario)
+        LogData.from_log(replace(log, sampling_interval=0.004), log.scenario)
     (tmp_path / "table.toml").write_text(
         'schema = 1\nbase = "laboratory"\n[actuator]\npiston_area = "30 cm^2"\n'
     )
@@ -226,10 +226,10 @@ def test_draws_of_the_normal_posterior_explain_a_log_that_tells_a_sum_only():
 def test_samples_of_a_normal_posterior_are_normal():
     log = laboratory_log()
     prior = default_prior(log.scenario, ["coulomb_friction", "bulk_modulus", "specimen_mass"])
-    data = [LogData.of(log, log.scenario)]
-    result = fit(Likelihood.of(log.scenario, prior.names, data), prior)
-    posterior = sample(result, moves=60, seed=1)
-    again = sample(result, moves=60, seed=1)
+    data = [LogData.from_log(log, log.scenario)]
+    result = fit(Likelihood.from_data(log.scenario, prior.names, data), prior)
+    posterior = sample_posterior(result, moves=60, seed=1)
+    again = sample_posterior(result, moves=60, seed=1)
     assert np.array_equal(posterior.points, again.points)
     z = (posterior.points - result.mode) / result.deviations
     assert np.max(np.abs(z.mean(axis=0))) < 0.25
@@ -297,7 +297,7 @@ def test_a_frequency_response_is_that_of_the_plant():
 def test_posterior_of_a_fit_has_its_seed():
     log = laboratory_log()
     result = identify([log], log.scenario, samples=10, seed=3)
-    assert np.array_equal(Posterior.of_fit(result.fit, 10, 3).points, result.posterior.points)
+    assert np.array_equal(Posterior.from_fit(result.fit, 10, 3).points, result.posterior.points)
 
 
 def rows_of_ranks(ranks, p):

@@ -9,7 +9,7 @@ import pytest
 from made_logs import hdf5_of_matlab, laboratory_log, tdms_bytes
 
 from agents.laboratory.logs.csv_file import csv_bytes
-from agents.laboratory.logs.findings import findings, require_sound
+from agents.laboratory.logs.findings import channel_faults, require_sound
 from agents.laboratory.logs.hdf5_file import hdf5_bytes
 from agents.laboratory.logs.log_file import parse_log, read_log, write_log
 from agents.laboratory.logs.mapping import ChannelSource, Mapped, read_mapping
@@ -138,7 +138,7 @@ def test_a_channel_that_is_not_right_is_named(values, words):
 
 def test_faults_of_sensors_are_found_and_named():
     log = laboratory_log()
-    assert findings(log) == []
+    assert channel_faults(log) == []
     velocity = log.channels["table_velocity"]
     stuck = velocity.copy()
     stuck[300:380] = stuck[300]
@@ -149,7 +149,7 @@ def test_faults_of_sensors_are_found_and_named():
         ({"table_velocity": np.zeros_like(velocity)}, "silent"),
     ):
         faulty = changed(log, **channels)
-        assert [(f.channel, f.kind) for f in findings(faulty)] == [("table_velocity", kind)]
+        assert [(f.channel, f.kind) for f in channel_faults(faulty)] == [("table_velocity", kind)]
         with pytest.raises(LogError, match=f"table_velocity is {kind}.*--without table_velocity"):
             require_sound(faulty)
         require_sound(faulty, without=["table_velocity"])

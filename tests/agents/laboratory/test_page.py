@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agents.__main__ import main
-from agents.laboratory.logs.findings import findings
+from agents.laboratory.logs.findings import channel_faults
 from agents.laboratory.logs.log_file import read_log
 from agents.laboratory.logs.mapping import read_mapping
 from agents.laboratory.sequence.state import read_sequence
@@ -38,7 +38,7 @@ def test_the_logs_that_ship_are_those_of_the_page(tmp_path):
     for number, file in enumerate(LOGS, start=1):
         log = read_log(file)
         assert log.name == f"shake {number}"
-        assert findings(log) == []
+        assert channel_faults(log) == []
         assert log.scenario.motion.record == scenario.motion.record
         assert file.stat().st_size < 100_000
     ratio = log.channels["target_acceleration"] / np.maximum(

@@ -13,9 +13,14 @@ from agents.cli.commands import parse
 from agents.laboratory.identification import calibration
 from agents.laboratory.identification.damage import damage_after
 from agents.laboratory.result_files import ResultFile, laboratory_tables
-from agents.laboratory.sequence.rehearsal import hidden_truth, rehearse, shake, summary
+from agents.laboratory.sequence.rehearsal import (
+    hidden_truth,
+    rehearsal_summary,
+    rehearse_sequences,
+    simulate_shake,
+)
 from agents.laboratory.sequence.state import read_sequence
-from agents.laboratory.sequence.steps import close_shake, designed_on, next_shake, plan
+from agents.laboratory.sequence.steps import close_shake, designed_on, next_shake, plan_sequence
 from shake_env.errors import FileError, LogError, ParameterError
 from shake_env.model.specimen_state import NEW
 from shake_env.scenario.overrides import make_scenario
@@ -23,7 +28,7 @@ from shake_env.scenario.scenario_file import read_scenario
 from shake_env.simulation.simulation import Simulation, earthquake_stream
 
 
-def test_bed(seconds=3.0):
+def laboratory_test(seconds=3.0):
     fields = {
         "uncertainty.mass_ratio": [0.4, 0.6],
         "uncertainty.storey_frequency": [6.5, 7.5],
@@ -33,17 +38,16 @@ def test_bed(seconds=3.0):
     return replace(scenario, motion=noise(seconds, 0.22))
 
 
-test_bed.__test__ = False
-
-
 def begun(folder):
-    return plan(folder, test_bed(), amplitudes=(0.5, 1.0), samples=12, keep=0.2)
+    return plan_sequence(
+        folder, laboratory_test(), amplitudes=(0.5, 1.0), samples=12, required_probability=0.2
+    )
 
 
 def test_a_sequence_goes_from_plan_to_last_shake(tmp_path):
     folder = tmp_path / "one"
     begun(folder)
-    truth = hidden_truth(test_bed(), np.random.default_rng(3), wider=False)
+    truth = hidden_truth(laboratory_test(), np.random.default_rng(3), wider=False)
     widths = [read_sequence(folder).posterior.points.std(axis=0)]
     for number in (1, 2):
         sequence, forecasts = next_shake(read_sequence(folder))
@@ -51,7 +55,7 @@ def test_a_sequence_goes_from_plan_to_last_shake(tmp_path):
         assert (folder / f"shake_{number}" / "forecast.html").exists()
         design = designed_on(sequence)
         assert read_scenario(folder / f"shake_{number}" / "test.toml").specimen == design.specimen
-        log, outcomes, _ = shake(design, truth, "lqg", number)
+        log, outcomes, _ = simulate_shake(design, truth, "lqg", number)
         assert not outcomes.broken.any()
         sequence, _ = close_shake(read_sequence(folder), log)
         widths.append(sequence.posterior.points.std(axis=0))
@@ -69,9 +73,9 @@ def test_a_sequence_goes_from_plan_to_last_shake(tmp_path):
 
 
 def test_an_unsafe_shake_is_refused_unless_overridden(tmp_path):
-    scenario = test_bed()
+    scenario = laboratory_test()
     scenario = replace(scenario, limits=replace(scenario.limits, table_displacement=0.003))
-    plan(tmp_path / "one", scenario, amplitudes=(1.0,), samples=8)
+    plan_sequence(tmp_path / "one", scenario, amplitudes=(1.0,), samples=8)
     with pytest.raises(ParameterError, match=r"is unsafe: no controller keeps every limit.*--override"):
         next_shake(read_sequence(tmp_path / "one"))
     assert read_sequence(tmp_path / "one").next.forecast is None
@@ -81,14 +85,14 @@ def test_an_unsafe_shake_is_refused_unless_overridden(tmp_path):
 
 def test_what_is_out_of_order_is_refused(tmp_path):
     sequence = begun(tmp_path / "one")
-    truth = hidden_truth(test_bed(), np.random.default_rng(1), wider=False)
-    log, _, _ = shake(designed_on(sequence), truth, "lqg", 1)
+    truth = hidden_truth(laboratory_test(), np.random.default_rng(1), wider=False)
+    log, _, _ = simulate_shake(designed_on(sequence), truth, "lqg", 1)
     with pytest.raises(ParameterError, match="has no forecast yet"):
         close_shake(sequence, log)
     with pytest.raises(ParameterError, match="holds a sequence already"):
         begun(tmp_path / "one")
     with pytest.raises(ParameterError, match="must rise"):
-        plan(tmp_path / "two", test_bed(), amplitudes=(0.5, 0.5))
+        plan_sequence(tmp_path / "two", laboratory_test(), amplitudes=(0.5, 0.5))
     with pytest.raises(FileError, match="begin with shake sequence plan"):
         read_sequence(tmp_path / "none")
     (tmp_path / "one" / "sequence.json").write_text("{}")
@@ -97,7 +101,7 @@ def test_what_is_out_of_order_is_refused(tmp_path):
 
 
 def test_a_hidden_truth_lies_outside_of_the_model():
-    scenario = test_bed()
+    scenario = laboratory_test()
     stream = np.random.default_rng(0)
     truth = hidden_truth(scenario, stream)
     assert truth.specimen.coupled  # Rayleigh damping
@@ -111,7 +115,7 @@ def test_a_hidden_truth_lies_outside_of_the_model():
 
 def yielding_bed(seconds=3.0):
     """Two storeys that yield from 4 mm on; the yield drift is uncertain as everything else is."""
-    scenario = test_bed(seconds)
+    scenario = laboratory_test(seconds)
     yielding = replace(scenario.nonlinearity.yielding, yield_drift=4e-3)
     # A preview has the reference computed beyond the motion's end; its slip is compared here.
     sensing = replace(scenario.sensing, preview=0.0)
@@ -125,7 +129,7 @@ def test_damage_follows_from_the_logs():
     truth = hidden_truth(scenario, np.random.default_rng(2), wider=False)
     specimen, logs = NEW, []
     for number in (1, 2):
-        log, outcomes, specimen = shake(scenario, truth, "lqg", number, specimen)
+        log, outcomes, specimen = simulate_shake(scenario, truth, "lqg", number, specimen)
         assert not outcomes.broken.any()
         logs.append(log)
     assert np.abs(specimen.slip).max() > 1e-4
@@ -143,16 +147,16 @@ def test_damage_follows_from_the_logs():
     (alone,) = damage_after([other], logs)
     assert alone.slip == pytest.approx(elastic.slip, rel=1e-6, abs=1e-9)
     assert alone.reference_slip == pytest.approx(elastic.reference_slip, rel=1e-6, abs=1e-9)
-    assert damage_after([test_bed()], logs) == [NEW]
+    assert damage_after([laboratory_test()], logs) == [NEW]
 
 
 def test_damage_is_part_of_the_belief(tmp_path):
     scenario = yielding_bed()
     folder = tmp_path / "one"
-    plan(folder, scenario, amplitudes=(0.8, 1.0), samples=12, keep=0.1)
+    plan_sequence(folder, scenario, amplitudes=(0.8, 1.0), samples=12, required_probability=0.1)
     truth = hidden_truth(scenario, np.random.default_rng(4), wider=False)
     sequence, _ = next_shake(read_sequence(folder), override="a test")
-    log, _, specimen = shake(designed_on(sequence), truth, "lqg", 1)
+    log, _, specimen = simulate_shake(designed_on(sequence), truth, "lqg", 1)
     close_shake(read_sequence(folder), log)
     sequence = read_sequence(folder)
     damage = sequence.shakes[0].damage
@@ -210,8 +214,10 @@ def laboratory_tables_of(file, folder):
 
 @pytest.mark.slow
 def test_a_rehearsal_on_the_fitted_model_is_calibrated():
-    found = rehearse(test_bed(8.0), truths=3, amplitudes=(0.25, 1.0), samples=60, wider=False, seed=1)
-    result = summary(found)
+    found = rehearse_sequences(
+        laboratory_test(8.0), truths=3, amplitudes=(0.25, 1.0), samples=60, wider=False, seed=1
+    )
+    result = rehearsal_summary(found)
     assert result["failed"] == []
     assert result["limits_broken"] == 0
     assert result["coverage"] > 0.75
@@ -236,7 +242,7 @@ def test_results_of_several_tests_are_one_table_of_what_each_tells(tmp_path):
         row = {"ranks": [1, 2, 3], "errors": [error, -error, error], "widths": [0.1] * 3, "seconds": 1.0}
         options = {"seconds": 8.0, "amplitude": 0.1, "without": without, "controller": drive}
         head = {"command": "shake calibrate", "scenario": "laboratory", "options": options}
-        return {**head, **calibration.summary(names, [row, row], 10)}
+        return {**head, **calibration.calibration_summary(names, [row, row], 10)}
 
     for stem, *arguments in (
         ("laboratory_calibration", "none", [], 0.01),

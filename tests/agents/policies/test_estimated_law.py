@@ -30,9 +30,9 @@ LAWS = [(*case, "lqg-dac") for case in CASES] + [("laboratory", {}, LQG_SEARCHED
 def test_the_matrices_are_the_controller(name, overrides, base, kind):
     scenario = make_scenario(name, overrides)
     controller = make_baseline(base, scenario)
-    law = EstimatedLaw.of(base, scenario)
+    law = EstimatedLaw.from_name(base, scenario)
     like = torch.zeros(1, dtype=torch.float64) if kind == "torch" else np.zeros(1)
-    law, to = law.like(like), torch.as_tensor if kind == "torch" else np.asarray
+    law, to = law.to(like), torch.as_tensor if kind == "torch" else np.asarray
     rng = np.random.default_rng(0)
     memory, age, state = np.zeros((3, law.size)), np.zeros(3, dtype=int), None
     action = np.zeros((3, 1))
@@ -57,7 +57,7 @@ def test_the_matrices_are_the_controller(name, overrides, base, kind):
 def test_numpy_weighs_as_the_array_api_does_at_every_age():
     """Its products leave zeros out, and take the settled gain as one matrix."""
     scenario = make_scenario("laboratory")
-    law, rng = EstimatedLaw.of("lqg-dac", scenario), np.random.default_rng(0)
+    law, rng = EstimatedLaw.from_name("lqg-dac", scenario), np.random.default_rng(0)
     memory, seen = rng.normal(size=(9, law.size)), rng.normal(size=(9, law.observation_size))
     for age in (np.zeros(9, dtype=int), np.arange(9), np.arange(9) * 100, np.full(9, 500)):
         for ours, theirs in zip(law.look(memory, seen, age), law._weigh(memory, seen, age), strict=True):
@@ -77,7 +77,7 @@ def test_what_is_shown_is_what_a_full_state_law_would_be_given():
             given.append(observation)
             return np.clip(observation @ self.row, -1.0, 1.0)[..., None].astype(np.float32), None
 
-    law = EstimatedLaw.of("lqg-dac", scenario)
+    law = EstimatedLaw.from_name("lqg-dac", scenario)
     controller.law = Listener()
     rng = np.random.default_rng(1)
     seen = rng.normal(size=(4, scenario.observation.size)).astype(np.float32)
@@ -232,7 +232,7 @@ def test_a_preview_law_is_a_row():
 
 def test_what_is_no_linear_law_is_refused():
     with pytest.raises(ScenarioError, match="tvc"):
-        EstimatedLaw.of("tvc", make_scenario("laboratory"))
+        EstimatedLaw.from_name("tvc", make_scenario("laboratory"))
 
 
 @pytest.mark.parametrize("part", ["advance", "gains", "show", "begins"])

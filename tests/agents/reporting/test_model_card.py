@@ -10,7 +10,7 @@ from agents.evaluation.protocol import evaluate, find_entry
 from agents.evaluation.result_files import write_result
 from agents.policies.policy_file import PolicyFile, load_policy
 from agents.policies.registry import shipped_policy
-from agents.reporting.evaluation_tables import interval
+from agents.reporting.evaluation_tables import interval_text
 from agents.reporting.model_card import write_card
 from shake_env import make_scenario
 from shake_env.errors import ParameterError
@@ -51,8 +51,8 @@ def test_a_card_repeats_its_sources(evaluated, capsys):
     for expected in (
         card["command"],
         row["sources"][0]["sha256"],
-        f"| cost / bound | {interval(row['relative_cost'], 3)} |",
-        f"| cost / lqr | {interval(row['reference_cost'], 3)} |",
+        f"| cost / bound | {interval_text(row['relative_cost'], 3)} |",
+        f"| cost / lqr | {interval_text(row['reference_cost'], 3)} |",
         "0 of 3",
         "The actor has no biases",
         "- Not for sale.",

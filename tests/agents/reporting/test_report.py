@@ -26,7 +26,7 @@ from agents.reporting.report.contents import (
     unique_labels,
 )
 from agents.reporting.report.data import page_data
-from agents.reporting.report.estimates import Drawn, TransferEstimate, lqr_frontier
+from agents.reporting.report.estimates import SampledParameters, TransferEstimate, lqr_frontier
 from agents.reporting.report.page import report_page, unbroken_percentages, write_report
 from agents.reporting.report.traces import BUDGET, LEVELS, Curves, pack_all, pack_curves, unpack_curves
 from agents.reporting.terminal import OutputConsole
@@ -236,7 +236,9 @@ def test_every_figure_lies_beside_the_page(tmp_path):
     report = reported(scenario, noise=2, records=False)
     report = replace(
         report,
-        drawn=Drawn({"mass_ratio": np.array([0.2, 0.6]), "storey_frequency": np.array([5.0, 8.0])}),
+        drawn=SampledParameters(
+            {"mass_ratio": np.array([0.2, 0.6]), "storey_frequency": np.array([5.0, 8.0])}
+        ),
         learning={"none": [(0, 9.0), (1000, 1.5)]},
     )
     paths = write_report(report, tmp_path)

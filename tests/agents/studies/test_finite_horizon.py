@@ -55,7 +55,7 @@ def window_cost(p, stage, start, K, window, discount):
 @pytest.mark.parametrize("discount", [1.0, 0.99])
 def test_the_windowed_law_is_where_the_gradient_of_a_window_vanishes(discount):
     # As back-propagation sees it: where a window begins is given, and does not answer to the law.
-    p = ScaledProblem.of(LINEAR.discrete)
+    p = ScaledProblem.from_plant(LINEAR.discrete)
     stage, window = p.stage(LINEAR.stage_cost), 40
 
     def slope(K):
@@ -72,6 +72,6 @@ def test_the_windowed_law_is_where_the_gradient_of_a_window_vanishes(discount):
 
     law = windowed_law(LINEAR, window, discount)
     optimal = sampled_lqr(LINEAR.discrete, LINEAR.stage_cost).gain
-    optimal = (optimal[p.kept] * p.scale / REFERENCE_CURRENT)[None]
+    optimal = (optimal[p.indices] * p.scale / REFERENCE_CURRENT)[None]
     # Central differences of 1e-5: what remains of the slope is their rounding and curvature.
     assert np.abs(slope(law)).max() < 1e-4 * np.abs(slope(optimal)).max()

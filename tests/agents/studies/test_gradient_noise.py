@@ -22,7 +22,7 @@ def test_advantages_are_those_of_their_definition():
 @pytest.mark.slow
 def test_paired_advantages_point_where_the_exact_gradient_does():
     scenario = make_scenario("laboratory", {})
-    found = gradient_noise(scenario, NoiseSettings(tables=32, rollouts=6))
+    found = gradient_noise(scenario, NoiseSettings(n_envs=32, rollouts=6))
     rows = {each.estimator: each for each in found.estimators}
     paired, single = rows["paired, lambda 0.95"], rows["lambda 0.9, critic"]
     assert paired.cosine > 0.5 > single.cosine
@@ -32,5 +32,5 @@ def test_paired_advantages_point_where_the_exact_gradient_does():
 
 def test_it_is_the_same_for_the_same_seed():
     scenario = make_scenario("laboratory", {})
-    settings = NoiseSettings(tables=4, rollouts=1, rollout=16)
+    settings = NoiseSettings(n_envs=4, rollouts=1, rollout=16)
     assert gradient_noise(scenario, settings) == gradient_noise(scenario, settings)

@@ -10,15 +10,15 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lsim
 
 import agents.studies.validation.run
-from agents.studies.validation.ranges import RANGES, check_motion, check_ranges
+from agents.studies.validation.ranges import RANGES, check_motion, check_peaks
 from agents.studies.validation.reduction import reduce_loop
 from agents.studies.validation.responses import (
     SAMPLED,
     Group,
     continuous_loops,
     continuous_response,
-    gains,
-    groups,
+    motion_groups,
+    sampled_gains,
     sampled_responses,
     smooth_target,
 )
@@ -138,7 +138,7 @@ def noise_group():
 
 def test_physics_states_meet_the_roll_out(noise_group):
     scenario = noise_group.scenario
-    motion = sampled_responses(noise_group, gains(scenario)[SAMPLED])[0]
+    motion = sampled_responses(noise_group, sampled_gains(scenario)[SAMPLED])[0]
     signals = motion.signals
     assert all(len(values) == len(motion.time) for values in signals.values())
     velocity = np.diff(signals["table_displacement"]) / STEP
@@ -158,7 +158,7 @@ def test_physics_states_meet_the_roll_out(noise_group):
 
 def test_the_smooth_target_is_the_motion_and_keeps_its_velocity(noise_group):
     scenario = noise_group.scenario
-    motion = sampled_responses(noise_group, gains(scenario)[SAMPLED])[0]
+    motion = sampled_responses(noise_group, sampled_gains(scenario)[SAMPLED])[0]
     given = motion.signals["target_acceleration"]
     smooth = smooth_target(scenario, noise_group.earthquakes[0], len(given))
     assert np.sqrt(np.mean((smooth[1:] - given) ** 2)) < 0.25 * np.sqrt(np.mean(given**2))
@@ -185,12 +185,12 @@ def test_high_passed_noise_keeps_its_displacement():
 
 
 def test_groups_and_controllers():
-    found = groups(Scenario(), 2)
+    found = motion_groups(Scenario(), 2)
     assert [g.name for g in found] == ["records", "filtered noise", "high-passed noise"]
     assert found[2].scenario.ground.highpass_frequency == 0.5
-    assert len(groups(make_scenario("linear", {"highpass_frequency": 1.0}), 2)) == 2
-    assert len(groups(Scenario(), 0)) == 1
-    known, unaware = gains(Scenario()).values()
+    assert len(motion_groups(make_scenario("linear", {"highpass_frequency": 1.0}), 2)) == 2
+    assert len(motion_groups(Scenario(), 0)) == 1
+    known, unaware = sampled_gains(Scenario()).values()
     assert known.shape == unaware.shape and not np.allclose(known, unaware)
 
 
@@ -199,9 +199,9 @@ def test_groups_and_controllers():
 
 def test_check_ranges_flags_a_known_violation():
     peaks = {known.quantity: 0.5 * known.rated for known in RANGES}
-    assert {c.verdict for c in check_ranges(peaks)} == {"within"}
+    assert {c.verdict for c in check_peaks(peaks)} == {"within"}
     peaks |= {"table_displacement": 0.073, "current": 0.050, "load_pressure": float("nan")}
-    found = {c.quantity: c for c in check_ranges(peaks)}
+    found = {c.quantity: c for c in check_peaks(peaks)}
     assert found["table_displacement"].verdict == "above rated"
     assert found["current"].verdict == "above limit"
     assert found["current"].peak == pytest.approx(50.0)
@@ -234,7 +234,7 @@ def test_amplitude_factor_is_the_tightest_of_the_table():
 
 def test_a_motion_scaled_by_its_factor_is_within_range(noise_group):
     scenario = noise_group.scenario
-    gain = gains(scenario)[SAMPLED]
+    gain = sampled_gains(scenario)[SAMPLED]
     first = sampled_responses(noise_group, gain)[0]
     factor = check_motion("LQR", "noise", "noise", first.signals).factor_to_rated
     scaled = [Earthquake("noise", FilteredNoise(duration=4.0, amplitude=0.999 * factor), 5)]
@@ -259,7 +259,7 @@ def run(tmp_path_factory):
     ]
     folder, lines = tmp_path_factory.mktemp("validation"), []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(agents.studies.validation.run, "groups", lambda scenario, noise: short)
+        patch.setattr(agents.studies.validation.run, "motion_groups", lambda scenario, noise: short)
         results = validate(Scenario(), folder, lines.append)
     return folder, results, lines
 

@@ -23,8 +23,8 @@ from agents.scenario_options import ScenarioOptions
 from agents.training.algorithm_options import PPOOptions
 from agents.training.checkpoint import checkpoints, load_checkpoint
 from agents.training.config import TrainConfig
-from agents.training.plain_state import generator, generator_state, joined, split
-from agents.training.run import finished, resume, train, train_or_resume, training_tables
+from agents.training.plain_state import generator_state, join_state, restore_generator, split_state
+from agents.training.run import is_finished, resume, train, train_or_resume, training_tables
 from shake_env.errors import PolicyFileError, RunDirectoryError, ShakeError
 from shake_env.scenario.overrides import make_scenario
 
@@ -179,8 +179,8 @@ def test_a_generator_goes_on_and_its_children_too():
     one.spawn(2)
     one.standard_normal(5)
     one.integers(0, 5, dtype=np.uint32)
-    state = json.loads(json.dumps(split(generator_state(one))[0]))
-    two = generator(joined(state, {}))
+    state = json.loads(json.dumps(split_state(generator_state(one))[0]))
+    two = restore_generator(join_state(state, {}))
     assert np.array_equal(one.standard_normal(4), two.standard_normal(4))
     assert np.array_equal(one.integers(0, 9, 7, np.uint32), two.integers(0, 9, 7, np.uint32))
     assert np.array_equal(one.spawn(1)[0].random(3), two.spawn(1)[0].random(3))
@@ -188,10 +188,10 @@ def test_a_generator_goes_on_and_its_children_too():
 
 def test_only_plain_values_are_written():
     with pytest.raises(TypeError, match=r"state\.a\.0 is a object"):
-        split({"a": [object()]})
+        split_state({"a": [object()]})
     values = {"a": np.float32(0.5), "b": (1, [True, None]), "c": np.zeros(()), "d": torch.ones(2)}
-    plain, arrays = split(values)
-    back = joined(json.loads(json.dumps(plain)), arrays)
+    plain, arrays = split_state(values)
+    back = join_state(json.loads(json.dumps(plain)), arrays)
     assert (back["a"], back["b"], back["c"].shape) == (0.5, [1, [True, None]], ())
 
 
@@ -205,7 +205,7 @@ def test_nothing_that_a_person_put_there_is_deleted(cut):
     (cut / "data" / "raw.csv").write_text("1")
     assert resume(cut).steps == 192
     assert (cut / "notes.txt").read_text() == "mine" and (cut / "data" / "raw.csv").exists()
-    assert finished(cut)
+    assert is_finished(cut)
 
 
 def test_a_run_that_was_killed_as_it_began_begins_or_goes_on(trained, tmp_path):
@@ -218,7 +218,7 @@ def test_a_run_that_was_killed_as_it_began_begins_or_goes_on(trained, tmp_path):
         shutil.copy(tmp_path / "a" / "config.json", run)
         append_row(run / "evaluations.jsonl", {"steps": 64, "cost_ratio": 1e-9})  # and no checkpoint
         again(run)
-        assert evaluations_of_run(run) == evaluations_of_run(tmp_path / "a") and finished(run)
+        assert evaluations_of_run(run) == evaluations_of_run(tmp_path / "a") and is_finished(run)
         shutil.rmtree(run)
     (tmp_path / "c").mkdir()
     words = [
@@ -233,7 +233,7 @@ def test_a_run_that_was_killed_as_it_began_begins_or_goes_on(trained, tmp_path):
     words += ["--config.ppo.n-envs", "2", "--config.ppo.n-steps", "32", "--config.ppo.batch-size"]
     words += ["64", "--config.evaluation-earthquakes", "1", "--config.episode-duration", "0.2"]
     assert main(words) == 0
-    assert finished(tmp_path / "c")
+    assert is_finished(tmp_path / "c")
 
 
 def test_a_result_counts_only_when_it_is_complete(trained, tmp_path):
@@ -245,12 +245,12 @@ def test_a_result_counts_only_when_it_is_complete(trained, tmp_path):
     assert task.state == "done"
     for half in (text[: len(text) // 2], "{}", text.replace('"steps": 192', '"steps": "192"'), ""):
         (run / "result.json").write_text(half)
-        assert not finished(run)
+        assert not is_finished(run)
         task.state = "waiting"
         task.look()
         assert task.state == "begun"
     train_or_resume(CONFIG, run)
-    assert finished(run)
+    assert is_finished(run)
     assert json.loads((run / "result.json").read_text())["cost"] == json.loads(text)["cost"]
 
 

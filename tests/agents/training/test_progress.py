@@ -13,7 +13,7 @@ from agents.progress import Progress
 from agents.scenario_options import ScenarioOptions
 from agents.training.algorithm_options import APGOptions, PPOOptions, SACOptions
 from agents.training.config import TrainConfig
-from agents.training.progress import BARS, TrainingView, meaning, sparkline
+from agents.training.progress import BARS, TrainingView, curve_meaning, sparkline
 from agents.training.run import train
 
 
@@ -98,7 +98,7 @@ def test_the_last_state_is_all_that_a_file_gets():
     ],
 )
 def test_evaluations_are_put_in_words(evaluations, words):
-    assert words in meaning(told(10, 1.0, *evaluations))
+    assert words in curve_meaning(told(10, 1.0, *evaluations))
 
 
 def test_a_sparkline_falls_as_its_values_do():

@@ -27,7 +27,7 @@ def unknown():
 
 @pytest.fixture(scope="module")
 def bank(unknown):
-    return SpecimenBank.of(unknown, position=0.05)
+    return SpecimenBank.from_scenario(unknown, position=0.05)
 
 
 class Watched:
@@ -136,7 +136,7 @@ def test_lanes_do_not_know_of_each_other_and_start_afresh(unknown, bank):
 def test_the_tables_observer_follows_a_table_whose_base_shear_is_given():
     """True signals of a table with a loop delay, from a wrong start: what is left is the sampling's."""
     scenario = replace(make_scenario("unknown-specimen", {"duration": 3.0}), uncertainty=Uncertainty())
-    observer = TableObserver.of(scenario, shear_error=10.0)
+    observer = TableObserver.from_scenario(scenario, shear_error=10.0)
     smooth = 0.3 * np.sin(2.0 * np.pi * 2.0 * np.arange(600) * scenario.control_period)
     _, histories = rollout(DriveFile(smooth), scenario, noise_earthquakes(scenario, 1), record=[0])
     one, k = histories[0], scenario.substeps
@@ -157,7 +157,7 @@ def test_the_tables_observer_follows_a_table_whose_base_shear_is_given():
 def test_its_gain_at_a_candidate_is_the_candidates(unknown):
     """The stationary LQR part of the law: predicted through no delay it is that specimen's design."""
     scenario = replace(unknown, delay=0.0)
-    bank = SpecimenBank.of(scenario, frequencies=2, masses=2)
+    bank = SpecimenBank.from_scenario(scenario, frequencies=2, masses=2)
     plant = replace(
         scenario, specimen=type(scenario.specimen).uniform(mass_ratio=1.0, storey_frequency=5.0)
     )
@@ -174,9 +174,9 @@ def test_what_does_not_suit_it_is_refused(unknown, bank):
     with pytest.raises(ScenarioError, match="uncertainty"):
         certainty_equivalence(replace(unknown, uncertainty=Uncertainty()))
     with pytest.raises(ScenarioError, match="delay"):
-        SpecimenBank.of(replace(unknown, delay=6.0), frequencies=2, masses=2)
+        SpecimenBank.from_scenario(replace(unknown, delay=6.0), frequencies=2, masses=2)
     with pytest.raises(ParameterError, match="grid"):
-        SpecimenBank.of(unknown, masses=1)
+        SpecimenBank.from_scenario(unknown, masses=1)
     with pytest.raises(ParameterError, match="floor"):
         CertaintyEquivalence(unknown, bank, floor=0.0)
 

@@ -48,7 +48,7 @@ def whiteness(innovations, lags):
 def test_the_model_is_the_simulation_without_its_noise(delay, lowpass):
     sensing = every_signal(lowpass)
     scenario = replace(make_scenario(), delay=delay, sensing=sensing)
-    model = EstimatorModel.of(scenario, ModelError(force=1.0, flow=1e-8))
+    model = EstimatorModel.from_scenario(scenario, ModelError(force=1.0, flow=1e-8))
     simulation = Simulation(scenario, 3)
     observation = simulation.start(range(3), streams(3))
     rng = np.random.default_rng(1)
@@ -70,7 +70,7 @@ def test_the_model_is_the_simulation_without_its_noise(delay, lowpass):
 def test_ahead_is_the_simulation_up_to_the_delays_end(delay):
     # The state after `delay` physics steps, computed with a control period of one physics step.
     scenario = replace(make_scenario(), delay=delay, sensing=every_signal(None))
-    model = EstimatorModel.of(scenario, ModelError(force=1.0, flow=1e-8))
+    model = EstimatorModel.from_scenario(scenario, ModelError(force=1.0, flow=1e-8))
     plant, rng = scenario.plant, np.random.default_rng(2)
     scale = plant.state_scale[plant.layout.controlled]
     n, k, dt = len(scale), scenario.substeps, scenario.physics_step
@@ -94,7 +94,7 @@ def test_ahead_is_the_simulation_up_to_the_delays_end(delay):
 def test_process_noise_against_fine_steps():
     scenario = make_scenario("laboratory")
     error = ModelError(force=40.0, flow=1e-7, force_time=0.03, flow_time=0.08)
-    model = EstimatorModel.of(scenario, error)
+    model = EstimatorModel.from_scenario(scenario, error)
     # Acting alone, each disturbance has its stationary variance.
     places = [8, 9]
     A, Q = model.A[np.ix_(places, places)], model.Q[np.ix_(places, places)]
@@ -104,9 +104,9 @@ def test_process_noise_against_fine_steps():
     sizes = np.array([scale[0] * plant.actuator.piston_area, scale[3]])
     assert np.sqrt(stationary_variance) * sizes == pytest.approx([40.0, 1e-7], rel=1e-9)
     # The covariance of a period is that of its tenths, carried on by the state matrix.
-    whole = EstimatorModel.of(replace(scenario, delay=0.0), error)
+    whole = EstimatorModel.from_scenario(replace(scenario, delay=0.0), error)
     fine = replace(scenario, delay=0.0, control_rate=2000.0, physics_step=5e-4)
-    part = EstimatorModel.of(fine, error)
+    part = EstimatorModel.from_scenario(fine, error)
     x = 10  # without low-pass and offset, whose periods differ
     P = np.zeros((x, x))
     for _ in range(10):
@@ -117,7 +117,7 @@ def test_process_noise_against_fine_steps():
 @pytest.mark.parametrize(("name", "stories"), [("laboratory", 2), ("laboratory", 10), ("linear", 2)])
 def test_stationary_gain_against_python_control_and_the_recursion(name, stories):
     scenario = make_scenario(name, {"stories": stories, "sensing": "laboratory"})
-    model = EstimatorModel.of(scenario, ModelError.of(scenario))
+    model = EstimatorModel.from_scenario(scenario, ModelError.from_scenario(scenario))
     gain, P = stationary_filter(model)
     n = model.order
     predictor, P_control, _ = control.dlqe(
@@ -133,8 +133,8 @@ def test_stationary_gain_against_python_control_and_the_recursion(name, stories)
 
 def test_innovations_are_white_at_the_design_noise_and_the_covariance_is_the_errors():
     scenario = make_scenario("laboratory")
-    model = EstimatorModel.of(scenario, ModelError.of(scenario))
-    kalman = KalmanFilter.of(model, warm_up=0)
+    model = EstimatorModel.from_scenario(scenario, ModelError.from_scenario(scenario))
+    kalman = KalmanFilter.from_model(model, warm_up=0)
     lanes, steps, s, rng = 400, 500, len(model.R), np.random.default_rng(2009)
 
     def draw(covariance, count):
@@ -176,7 +176,7 @@ def test_innovations_in_the_simulation_are_white_at_the_sensors_noise():
     scenario = make_scenario(
         "linear", {"sensing": "laboratory", "delay": 2.5, "fields": {"current_limit": 0.04}}
     )
-    model = EstimatorModel.of(scenario, ModelError(force=0.0, flow=0.0, bias_time=1e12))
+    model = EstimatorModel.from_scenario(scenario, ModelError(force=0.0, flow=0.0, bias_time=1e12))
     lanes, steps = 60, 400
     kalman = KalmanFilter.from_rest(model, steps)
     simulation = Simulation(scenario, lanes)
@@ -205,7 +205,9 @@ def test_innovations_in_the_simulation_are_white_at_the_sensors_noise():
 
 def test_lanes_of_different_age_take_their_own_gains():
     scenario = make_scenario("laboratory")
-    kalman = KalmanFilter.of(EstimatorModel.of(scenario, ModelError.of(scenario)), warm_up=50)
+    kalman = KalmanFilter.from_model(
+        EstimatorModel.from_scenario(scenario, ModelError.from_scenario(scenario)), warm_up=50
+    )
     rng = np.random.default_rng(4)
     x, y = rng.standard_normal((3, kalman.model.order)), rng.standard_normal((3, len(kalman.model.R)))
     age = np.array([0, 20, 10_000])
@@ -219,7 +221,7 @@ def test_lanes_of_different_age_take_their_own_gains():
 def test_a_position_that_is_not_measured_is_integrated():
     sensors = tuple(s for s in Sensing.laboratory().sensors if s.signal != "table_displacement")
     scenario = replace(make_scenario("laboratory"), sensing=Sensing(sensors=sensors))
-    model = EstimatorModel.of(scenario, ModelError.of(scenario))
+    model = EstimatorModel.from_scenario(scenario, ModelError.from_scenario(scenario))
     gain, _ = stationary_filter(model)
     assert not gain[TABLE_DISPLACEMENT].any() and gain[0].any()
     assert model.A[TABLE_DISPLACEMENT, TABLE_DISPLACEMENT] == pytest.approx(1.0, rel=1e-12)
@@ -228,7 +230,7 @@ def test_a_position_that_is_not_measured_is_integrated():
 def test_a_perfect_model_has_no_stationary_filter():
     scenario = make_scenario("laboratory")
     with pytest.raises(NumericalError, match="disturbance"):
-        stationary_filter(EstimatorModel.of(scenario, ModelError(force=0.0, flow=0.0)))
+        stationary_filter(EstimatorModel.from_scenario(scenario, ModelError(force=0.0, flow=0.0)))
 
 
 def test_printed_equations_are_refused():
@@ -237,4 +239,4 @@ def test_printed_equations_are_refused():
     plain = Sensing(sensors=(Sensor(signal="table_displacement"),))
     scenario = make_scenario("as-printed", {"sensing": plain})
     with pytest.raises(ScenarioError, match="equations"):
-        EstimatorModel.of(scenario, ModelError(force=1.0, flow=1e-8))
+        EstimatorModel.from_scenario(scenario, ModelError(force=1.0, flow=1e-8))

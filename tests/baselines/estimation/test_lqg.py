@@ -9,7 +9,7 @@ from lqg_loops import delayed_problem, streams
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 from baselines.estimation.estimator_model import EstimatorModel, ModelError
-from baselines.estimation.ground_estimate import ReferenceRecursion, foresight
+from baselines.estimation.ground_estimate import ReferenceRecursion, predicted_ground
 from baselines.estimation.kalman import KalmanFilter
 from baselines.estimation.lqg import EstimatedState, estimated, full_state, lqg
 from baselines.lqr.sampled import lqr, sampled_lqr
@@ -32,9 +32,9 @@ def test_prediction_makes_the_lqr_that_knows_the_delay(delay):
     plant, layout = scenario.plant, scenario.plant.layout
     law = sampled_lqr(scenario.discrete, scenario.stage_cost).gain * plant.state_scale
     law /= REFERENCE_CURRENT
-    model = EstimatorModel.of(scenario, ModelError(force=1.0, flow=1e-8))
+    model = EstimatorModel.from_scenario(scenario, ModelError(force=1.0, flow=1e-8))
     c = layout.controlled.stop - layout.controlled.start
-    ground, _ = foresight(scenario, full_state(scenario))
+    ground, _ = predicted_ground(scenario, full_state(scenario))
     found = np.zeros(layout.order)
     w = layout.filter_states
     outside = np.r_[layout.ground, layout.reference]
@@ -69,7 +69,7 @@ def test_the_reference_specimen_is_known_from_the_filter_state(name):
     scenario = make_scenario(name)
     scale = scenario.plant.state_scale
     layout = scenario.plant.layout
-    recursion = ReferenceRecursion.of(scenario)
+    recursion = ReferenceRecursion.from_scenario(scenario)
     lanes = 200
     simulation = Simulation(scenario, lanes)
     simulation.start(range(lanes), streams(lanes, 5))
@@ -94,7 +94,7 @@ def test_the_reference_specimen_is_known_under_records():
     scenario = make_scenario("records")
     motions = [replace(q.motion, duration=20.0) for q in recorded_earthquakes(scenario)]
     layout, scale = scenario.plant.layout, scenario.plant.state_scale
-    recursion, lanes = ReferenceRecursion.of(scenario), len(motions)
+    recursion, lanes = ReferenceRecursion.from_scenario(scenario), len(motions)
     simulation = Simulation(scenario, lanes)
     before = simulation.start(range(lanes), streams(lanes), motions)[:, layout.ground]
     guess, errors, size = np.zeros((lanes, 2 * layout.stories)), 0.0, 0.0
@@ -120,7 +120,7 @@ def test_foresight_is_the_conditional_mean(delay, preview, spacing):
     scenario = replace(make_scenario(), delay=delay, sensing=sensing)
     layout, k = scenario.plant.layout, scenario.substeps
     scale, size = scenario.plant.state_scale, math.sqrt(scenario.plant.target_variance)
-    ahead, covariance = foresight(scenario, full_state(scenario))
+    ahead, covariance = predicted_ground(scenario, full_state(scenario))
     lanes, at, steps = 6000, 10, 10
     simulation = Simulation(scenario, lanes)
     simulation.start(range(lanes), streams(lanes, 6))
@@ -174,7 +174,7 @@ def test_the_preview_on_the_physics_grid_keeps_what_is_known():
     assert whole.observation.preview_samples == 100
     # Samples that are known come back as they are, from a delay of one period on.
     scenario = replace(make_scenario("laboratory"), delay=5.0)
-    ahead, _ = foresight(scenario, whole)
+    ahead, _ = predicted_ground(scenario, whole)
     first = scenario.plant.layout.filter_states + 2 * scenario.plant.layout.stories
     assert ahead[first : first + 95, first + 5 :] == pytest.approx(np.eye(95), abs=1e-6)
 
@@ -261,6 +261,8 @@ def test_friction_that_is_taken_out_of_the_state_no_longer_makes_the_table_compl
 
 def test_a_filter_of_ones_own_is_taken():
     scenario = make_scenario("laboratory")
-    kalman = KalmanFilter.of(EstimatorModel.of(scenario, ModelError(force=1.0, flow=1e-9)), warm_up=3)
+    kalman = KalmanFilter.from_model(
+        EstimatorModel.from_scenario(scenario, ModelError(force=1.0, flow=1e-9)), warm_up=3
+    )
     controller = EstimatedState(scenario, lqr(full_state(scenario)), kalman)
     assert controller.estimator is kalman and len(kalman.gains) == 4

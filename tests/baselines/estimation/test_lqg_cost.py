@@ -9,7 +9,7 @@ from lqg_loops import delayed_problem, streams
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 from baselines.estimation.estimator_model import ModelError
-from baselines.estimation.ground_estimate import ReferenceRecursion, foresight
+from baselines.estimation.ground_estimate import ReferenceRecursion, predicted_ground
 from baselines.estimation.lqg import estimated, full_state
 from baselines.lqr.design_states import observable_states
 from baselines.lqr.sampled import lqr, sampled_lqr
@@ -36,9 +36,9 @@ def parts_of_the_cost(scenario, controller):
     model, L = controller.estimator.model, controller.estimator.gains[-1]
     loop = (np.eye(model.order) - L @ model.C) @ model.A
     e_table = solve_discrete_lyapunov(loop, L @ np.diag(model.R) @ L.T)
-    recursion = ReferenceRecursion.of(scenario)
+    recursion = ReferenceRecursion.from_scenario(scenario)
     e_reference = solve_discrete_lyapunov(recursion.S, recursion.unseen)
-    ahead, noise = foresight(scenario, full_state(scenario))
+    ahead, noise = predicted_ground(scenario, full_state(scenario))
     outside = np.r_[layout.ground, layout.reference]
     on_table = K[layout.controlled] @ model.ahead[:, : model.order]
     on_ground = K[outside] @ ahead[:, layout.filter_states :]
@@ -62,7 +62,7 @@ def test_the_sum_of_the_parts_is_the_lyapunov_cost_of_the_whole_loop():
     K = sampled_lqr(discrete, cost).gain * scale / REFERENCE_CURRENT
     model, L = controller.estimator.model, controller.estimator.gains[-1]
     m, s, r = model.order, len(model.R), 2 * layout.stories
-    recursion = ReferenceRecursion.of(scenario)
+    recursion = ReferenceRecursion.from_scenario(scenario)
     draws = N_all.shape[1]
     loop = np.zeros((n + m + r, n + m + r))
     inputs = np.zeros((n + m + r, draws + s))

@@ -52,7 +52,7 @@ def linear():
 def test_measured_response_is_the_models(linear):
     scenario = linear
     plan = IterationPlan()
-    lines = Lines.of(scenario, plan, 800)
+    lines = Lines.from_plan(scenario, plan, 800)
     quakes = noise_earthquakes(scenario, 1)
     found, test = measured_response(scenario, quakes, plan, lines)
     expected = nominal_response(scenario, plan, lines.omega[lines.inside])
@@ -68,7 +68,7 @@ def test_period_model_is_the_continuous_plants_under_a_hold():
     """Far below the control rate a held current is a current half a period late."""
     scenario = make_scenario("linear")
     omega = 2.0 * np.pi * np.array([0.5, 1.0, 2.0])
-    found = PeriodModel.of(scenario).frequency_response(omega, scenario.control_period)
+    found = PeriodModel.from_scenario(scenario).frequency_response(omega, scenario.control_period)
     exact = scenario.plant.driven.frequency_response(omega)[:, 0, 0]
     # Held for T, then averaged over the T that follows each sample's start: together sinc^2 without lag.
     x = 0.5 * omega * scenario.control_period
@@ -79,7 +79,7 @@ def test_iteration_converges_geometrically_in_its_band_at_the_predicted_rate(lin
     plan = IterationPlan(repeats=3, gain=0.6, measured=False)
     result = transfer_function_iteration(linear, noise_earthquakes(linear, 2, seed=5), plan)
     steps = linear.motion.duration / linear.control_period
-    lines = Lines.of(linear, plan, round(steps))
+    lines = Lines.from_plan(linear, plan, round(steps))
     omega = lines.omega[lines.inside]
     G = nominal_response(linear, plan, omega)
     rate = 1.0 - plan.gain * np.real(G * regularised_inverse(linear, plan, G, omega))
@@ -135,8 +135,8 @@ def test_energy_is_what_the_dampers_took():
 
 def test_learning_law_is_the_minimum_over_dense_matrices(linear):
     steps, weight = 40, 0.02
-    model = PeriodModel.of(linear, hold=0.07)
-    law = LearningLaw.of(model, linear.stage_cost, weight, steps)
+    model = PeriodModel.from_scenario(linear, hold=0.07)
+    law = LearningLaw.from_model(model, linear.stage_cost, weight, steps)
     k, m = linear.substeps, len(model.F)
     scale = np.sqrt(np.array([linear.stage_cost.acceleration, linear.stage_cost.force]) / k)
     dense = np.zeros((steps, 2, k, steps))
@@ -172,7 +172,9 @@ def test_a_wrong_model_costs_repeats_and_does_not_run_away(linear):
     still, hold = run_test(light, quakes, NoControl()), DisplacementHold(light, 0.2)
     steps = still.target.shape[1]
     heavy = replace(linear, specimen=Specimen.uniform(mass_ratio=0.8, storey_frequency=6.0))
-    law = LearningLaw.of(PeriodModel.of(heavy, hold.gain), light.stage_cost, 0.1, steps)
+    law = LearningLaw.from_model(
+        PeriodModel.from_scenario(heavy, hold.gain), light.stage_cost, 0.1, steps
+    )
     tests = repeat_tests(
         light, quakes, still, lambda test: law.correction(tracking_error(test)), 4, hold
     )
@@ -226,7 +228,7 @@ def test_wrong_plans_and_drives_are_refused():
         DriveFile(np.zeros((2, 4))).predict(np.zeros((3, 5), dtype=np.float32))
     scenario = make_scenario("linear")
     with pytest.raises(ParameterError, match="high_frequency"):
-        Lines.of(scenario, IterationPlan(high_frequency=120.0), 100)
+        Lines.from_plan(scenario, IterationPlan(high_frequency=120.0), 100)
     with pytest.raises(ParameterError, match="step_weight"):
         norm_optimal_learning(scenario, noise_earthquakes(scenario, 1), step_weight=0.0)
     brief = replace(scenario, motion=FilteredNoise(duration=0.5))
@@ -236,7 +238,7 @@ def test_wrong_plans_and_drives_are_refused():
 
 def test_an_identification_that_meets_a_limit_is_run_again_at_half_the_drive(linear):
     quakes, plan = noise_earthquakes(linear, 2), IterationPlan()
-    lines = Lines.of(linear, plan, 800)
+    lines = Lines.from_plan(linear, plan, 800)
     free, calm = measured_response(linear, quakes, plan, lines)
     peak = np.max(np.abs(calm.acceleration), axis=(1, 2))
     bound = Limits(table_acceleration=float(0.7 * peak.max()))

@@ -126,7 +126,7 @@ def test_newton_recovers_from_a_riccati_solution_that_is_far_off(monkeypatch):
 
 def test_steady_coordinates_are_the_same_plant():
     case = plant(5, 0.2, "as_printed")
-    xi = SteadyCoordinates.of(case)
+    xi = SteadyCoordinates.from_plant(case)
     rng = np.random.default_rng(4)
     state, current, noise = rng.normal(size=case.layout.order), 0.3, -1.2
     x = xi.transform @ state

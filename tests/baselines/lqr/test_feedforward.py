@@ -31,7 +31,7 @@ def batch_reply(scenario, column, horizon, times):
     Responses come from running the nonlinear plant's own physics step, with the disturbance put in
     where a nonlinear part would be, on one current and one disturbance at a time.
     """
-    plant = NonlinearDynamics.of(scenario.plant, Nonlinearity(), 1e-3, scenario.substeps)
+    plant = NonlinearDynamics.from_plant(scenario.plant, Nonlinearity(), 1e-3, scenario.substeps)
     k, cost, states = scenario.substeps, scenario.stage_cost, plant.advance.shape[0]
     level = plant.advance[:, states + 1 :]
     weights = np.sqrt(np.array([cost.acceleration, cost.force]) / k)
@@ -61,7 +61,7 @@ def batch_reply(scenario, column, horizon, times):
 @pytest.mark.parametrize(("column", "name"), [(0, "flow_row"), (1, "force_row")])
 def test_reply_to_a_coming_disturbance_is_that_of_least_squares(column, name):
     scenario = make_scenario("linear", {"current_weight": 1.0})
-    found = getattr(DisturbancePreview.of(scenario, 6), name)
+    found = getattr(DisturbancePreview.from_scenario(scenario, 6), name)
     assert found.shape == (31,)
     times = np.array([0, 1, 4, 5, 6, 10, 17, 25, 29])
     expected = batch_reply(scenario, column, 200, times)
@@ -71,7 +71,7 @@ def test_reply_to_a_coming_disturbance_is_that_of_least_squares(column, name):
 
 def test_predicted_velocity_is_right_on_average_and_as_wrong_as_it_says():
     scenario = make_scenario("linear", {"highpass_frequency": 0.5})
-    p, lanes, ahead = DisturbancePreview.of(scenario, 10), 3000, 10
+    p, lanes, ahead = DisturbancePreview.from_scenario(scenario, 10), 3000, 10
     controller, simulation = lqr(scenario), Simulation(scenario, lanes)
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(5).spawn(lanes)]
     observation = simulation.start(range(lanes), streams)

@@ -22,8 +22,8 @@ def scenario_of(mass_ratio=MASS, **overrides):
 
 
 def scaled(scenario, gain):
-    p = ScaledProblem.of(scenario.discrete)
-    return (gain[p.kept] * p.scale / REFERENCE_CURRENT)[None, :]
+    p = ScaledProblem.from_plant(scenario.discrete)
+    return (gain[p.indices] * p.scale / REFERENCE_CURRENT)[None, :]
 
 
 @pytest.mark.parametrize("overrides", [{}, {"stories": 5, "control_rate": 500.0}], ids=str)
@@ -41,11 +41,11 @@ def test_not_even_a_mass_that_changes_at_each_physics_step():
     # The force of each step is the worst sign of the moment: against the table's present error.
     scenario, rho = scenario_of(), 0.4
     design = robust_feedback(scenario, rho)
-    g, p = GeneralizedPlant.of(scenario), ScaledProblem.of(scenario.discrete)
+    g, p = GeneralizedPlant.from_scenario(scenario), ScaledProblem.from_plant(scenario.discrete)
     K = scaled(scenario, design.gain)
     rng = np.random.default_rng(0)
     lanes, steps = 300, 3000
-    x, cost = np.zeros((lanes, len(p.kept))), 0.0
+    x, cost = np.zeros((lanes, len(p.indices))), 0.0
     (B_w, B_d, B_u), (C_z, C_e) = g.B, g.C
     for t in range(steps):
         u, d = -x @ K.T, rng.standard_normal((lanes, B_d.shape[1]))
@@ -74,11 +74,13 @@ def test_the_uncertain_force_is_another_mass(delta):
     def difference(physics_step):
         nominal = scenario_of(physics_step=physics_step)
         real = scenario_of(MASS * (1.0 + delta), physics_step=physics_step)
-        g, layout = GeneralizedPlant.of(nominal), nominal.plant.layout
+        g, layout = GeneralizedPlant.from_scenario(nominal), nominal.plant.layout
         loop = g.A + g.B[0] @ np.linalg.solve(np.eye(len(g.C[0])) / delta - g.D[0][0], g.C[0])
-        p, q = ScaledProblem.of(nominal.discrete), ScaledProblem.of(real.discrete)
+        p, q = ScaledProblem.from_plant(nominal.discrete), ScaledProblem.from_plant(real.discrete)
         ratio = q.scale / p.scale
-        inside = np.flatnonzero((p.kept >= layout.controlled.start) & (p.kept < layout.controlled.stop))
+        inside = np.flatnonzero(
+            (p.indices >= layout.controlled.start) & (p.indices < layout.controlled.stop)
+        )
         there = q.F * ratio[:, None] / ratio
         block = np.ix_(inside, inside)
         return np.max(np.abs(loop[block] - there[block])) / np.max(np.abs(there[block] - g.A[block]))
@@ -90,7 +92,7 @@ def test_the_uncertain_force_is_another_mass(delta):
 
 def test_the_force_enters_as_in_the_nonlinear_plant():
     scenario = scenario_of(control_rate=1000.0)
-    g, plant = GeneralizedPlant.of(scenario), scenario.plant
+    g, plant = GeneralizedPlant.from_scenario(scenario), scenario.plant
     table = controlled_plant(plant, Nonlinearity())
     kept = [0, 2, 3, *range(4, 8)]
     slow = table.B[kept, 1 + FORCE] * 1e-3 * np.sqrt(plant.reference_shear_variance)
@@ -103,7 +105,7 @@ def test_the_force_enters_as_in_the_nonlinear_plant():
 def test_gamma_against_a_frequency_sweep():
     scenario, rho = scenario_of(), 0.5
     design = robust_feedback(scenario, rho)
-    g, K = GeneralizedPlant.of(scenario), scaled(scenario, design.gain)
+    g, K = GeneralizedPlant.from_scenario(scenario), scaled(scenario, design.gain)
     A, C = g.A - g.B[2] @ K, rho * (g.C[0] - g.D[0][2] @ K)
     angles = np.concatenate([np.linspace(1e-4, np.pi, 4000), np.linspace(0.05, 0.3, 4000)])
     z = np.exp(1j * angles)[:, None, None]
@@ -117,7 +119,7 @@ def test_guarantee_against_a_second_riccati_solver():
     # The game by value iteration: minimum over u of the maximum over w, period by period.
     scenario, rho = scenario_of(), 0.3
     design = robust_feedback(scenario, rho)
-    g, d, k = GeneralizedPlant.of(scenario), design.scaling, scenario.substeps
+    g, d, k = GeneralizedPlant.from_scenario(scenario), design.scaling, scenario.substeps
     B = np.hstack([g.B[0] / d, g.B[2]])
     C = np.vstack([d * rho * g.C[0], g.C[1]])
     D = np.vstack(
@@ -152,7 +154,7 @@ def test_more_uncertainty_costs_more():
     assert np.all(np.diff([d.performance.cost for d in designs]) > 0.0)
     # What it buys: the margin rho / gamma within which the loop is known to be stable.
     lqr_gain = scaled(scenario_of(), sampled_lqr(scenario_of().discrete, scenario_of().stage_cost).gain)
-    margin = 1.0 / GeneralizedPlant.of(scenario_of()).force_gain(lqr_gain, 1.0)
+    margin = 1.0 / GeneralizedPlant.from_scenario(scenario_of()).force_gain(lqr_gain, 1.0)
     assert all(d.mass_uncertainty / d.gamma > margin for d in designs[1:])
 
 

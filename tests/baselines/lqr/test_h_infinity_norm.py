@@ -73,6 +73,6 @@ def test_the_gain_of_a_robust_design_against_slicot(rho):
 
 
 def test_the_gain_of_a_game_law_stays_below_the_level_that_it_was_designed_for():
-    plant = GeneralizedPlant.of(make_scenario("linear"))
+    plant = GeneralizedPlant.from_scenario(make_scenario("linear"))
     K, _ = plant.law(0.5, 1.0)
     assert plant.force_gain(K, 0.5) < 1.0

@@ -23,7 +23,7 @@ LABORATORY = {
 
 
 def tracking(scenario):
-    return TrackingProblem.of(scenario.discrete, scenario.stage_cost)
+    return TrackingProblem.from_plant(scenario.discrete, scenario.stage_cost)
 
 
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-7])

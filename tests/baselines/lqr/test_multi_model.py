@@ -29,7 +29,7 @@ def exact(models, gain):
 
 
 def scaled(scenario, gain):
-    kept = ScaledProblem.of(scenario.discrete).kept
+    kept = ScaledProblem.from_plant(scenario.discrete).indices
     return (gain[kept] * scenario.plant.state_scale[kept] / REFERENCE_CURRENT)[None, :]
 
 
@@ -45,7 +45,7 @@ def designs(models):
 
 @pytest.mark.parametrize("discount", [1.0, 0.95])
 def test_gradient_against_differences(models, discount):
-    problem = ModelSet.of(NOMINAL, models)
+    problem = ModelSet.from_scenarios(NOMINAL, models)
     K = scaled(NOMINAL, sampled_lqr(NOMINAL.discrete, NOMINAL.stage_cost).gain)
     _, slopes = problem.costs(K, discount)
     for i in range(K.shape[1]):
@@ -87,7 +87,7 @@ def test_each_aim_is_best_at_its_own(models, designs):
 
 
 def test_no_neighbouring_gain_has_a_smaller_mean(models, designs):
-    problem, K = ModelSet.of(NOMINAL, models), scaled(NOMINAL, designs["mean"].gain)
+    problem, K = ModelSet.from_scenarios(NOMINAL, models), scaled(NOMINAL, designs["mean"].gain)
     best = problem.costs(K)[0].mean()
     rng = np.random.default_rng(5)
     for size in (1e-5, 1e-3):

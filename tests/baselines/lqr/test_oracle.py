@@ -23,7 +23,9 @@ def test_true_plants_are_those_that_the_roll_out_draws():
     simulation.start(
         range(5), [np.random.default_rng(q.seed) for q in quakes], [q.motion for q in quakes]
     )
-    for expected, found in zip(simulation.fleet.plants, sampled_plants(scenario, quakes), strict=True):
+    for expected, found in zip(
+        simulation.plant_batch.plants, sampled_plants(scenario, quakes), strict=True
+    ):
         np.testing.assert_allclose(found.specimen.masses, expected.specimen.masses)
         np.testing.assert_allclose(found.specimen.stiffnesses, expected.specimen.stiffnesses)
 

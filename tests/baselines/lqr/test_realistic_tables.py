@@ -66,7 +66,7 @@ def check_designs(seeds: range) -> int:
             continue
         discrete, cost = scenario.discrete, scenario.stage_cost
         design = sampled_lqr(discrete, cost)  # compares J* with the closed loop's Lyapunov cost
-        p = ScaledProblem.of(discrete)
+        p = ScaledProblem.from_plant(discrete)
         Q, R, S = p.stage(cost)
         P, K = riccati(p.F, p.G, Q, R, S)
         residual = p.F.T @ P @ p.F - P + Q - (p.F.T @ P @ p.G + S) @ K
@@ -78,7 +78,7 @@ def check_designs(seeds: range) -> int:
         n, period = discrete.layout.order, discrete.substeps * discrete.dt
         whole = lifted[:, :n] - np.outer(lifted[:, n], design.gain)
         rate, state = displaced_table(discrete.plant)
-        if len(p.kept) < n:
+        if len(p.indices) < n:
             moved = (whole @ state - math.exp(-rate * period) * state) / scale
             assert np.max(np.abs(moved)) < 1e-6 * np.max(np.abs(state / scale)), seed
         assert 0.0 < design.analytic_cost < cost.motionless(discrete.plant), seed
@@ -130,7 +130,7 @@ def test_leaving_the_mode_out_changes_no_cost(monkeypatch, leakage):
     ahead = preview_lqr(discrete, cost, 0.1)
     robust = robust_feedback(scenario, 0.1)
     monkeypatch.setattr(design_states, "SLOWEST", 0.0)
-    assert len(DesignStates.of(scenario.plant).kept) == discrete.layout.order
+    assert len(DesignStates.from_plant(scenario.plant).indices) == discrete.layout.order
     assert sampled_lqr(discrete, cost).analytic_cost == pytest.approx(reduced.analytic_cost, rel=1e-7)
     whole = preview_lqr(discrete, cost, 0.1)
     assert whole.analytic_cost == pytest.approx(ahead.analytic_cost, rel=1e-6)

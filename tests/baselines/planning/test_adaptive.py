@@ -83,6 +83,6 @@ def test_it_refuses_what_it_cannot_identify():
 
 def test_a_range_may_begin_at_zero():
     fields = {"uncertainty.leakage": Uniform(0.0, 1e-12)}
-    known = UncertainParameters.of(make_scenario("laboratory", {"fields": fields}))
+    known = UncertainParameters.from_scenario(make_scenario("laboratory", {"fields": fields}))
     assert (known.low > 0.0).all() and (known.low < 1.0).all() and (known.high > 1.0).all()
     assert known.plant(known.nominal).actuator.leakage > 0.0

@@ -42,11 +42,11 @@ def test_on_a_linear_table_it_is_the_kalman_filter(sensing):
     scenario = linear_laboratory()
     if sensing == "full":
         scenario = replace(scenario, sensing=make_scenario("linear").sensing)
-    error = ModelError.of(scenario)
+    error = ModelError.from_scenario(scenario)
     steps = 150
     current, shown, _ = driven_by_noise(scenario, steps, seed=3)
-    linear = KalmanFilter.from_rest(EstimatorModel.of(scenario, error), steps + 1)
-    nonlinear = ExtendedKalmanFilter.of(scenario, error)
+    linear = KalmanFilter.from_rest(EstimatorModel.from_scenario(scenario, error), steps + 1)
+    nonlinear = ExtendedKalmanFilter.from_scenario(scenario, error)
     full = scenario.sensing.full_state
     layout = scenario.plant.layout
     readings = shown[:, layout.controlled if full else scenario.observation.readings]
@@ -72,7 +72,7 @@ def test_innovations_are_white_in_the_laboratory():
     scenario = make_scenario("laboratory", {"duration": 12.0})
     steps = 2000
     # Without doubt in a model that is the truth; its noise is the sensors' alone.
-    nonlinear = ExtendedKalmanFilter.of(scenario, ModelError(force=0.3, flow=1e-10))
+    nonlinear = ExtendedKalmanFilter.from_scenario(scenario, ModelError(force=0.3, flow=1e-10))
     innovations, errors = [], []
     for seed in (3, 4):
         current, shown, states = driven_by_noise(scenario, steps, seed)
@@ -100,7 +100,7 @@ def test_every_kind_of_sensor_is_predicted():
     plain = tuple(Sensor(signal=name, noise=1e-3) for name in SIGNALS)
     for chosen in (sensors, plain):
         measured = replace(scenario, sensing=Sensing(sensors=chosen))
-        nonlinear = ExtendedKalmanFilter.of(measured, ModelError(force=0.3, flow=1e-10))
+        nonlinear = ExtendedKalmanFilter.from_scenario(measured, ModelError(force=0.3, flow=1e-10))
         current, shown, states = driven_by_noise(measured, 200, 5)
         readings = shown[:, measured.observation.readings]
         found = nonlinear.advance(nonlinear.rest(1), np.zeros(1), readings[:1], np.array([True]))

@@ -26,7 +26,7 @@ def table(parts, stories, delay):
 
 
 def adjoint_of(scenario):
-    dynamics = NonlinearDynamics.of(
+    dynamics = NonlinearDynamics.from_plant(
         scenario.plant, scenario.parts, scenario.physics_step, scenario.substeps, delay=scenario.delay
     )
     step = dynamics._compiled

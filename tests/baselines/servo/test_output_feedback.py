@@ -28,7 +28,7 @@ def linear_laboratory(**changes):
 @pytest.mark.parametrize("delay", [0.0, 2.5, 5.0, 7.3])
 def test_nominal_table_is_the_simulated_one(delay):
     scenario = linear_laboratory(delay=delay)
-    table, simulation = NominalTable.of(scenario), Simulation(scenario, 1)
+    table, simulation = NominalTable.from_scenario(scenario), Simulation(scenario, 1)
     simulation.start([0], [np.random.default_rng(0)])
     rng, x = np.random.default_rng(1), np.zeros(len(table.G))
     for _ in range(50):
@@ -119,7 +119,7 @@ def test_integral_action_leaves_no_steady_error_to_a_ramp():
 
 def test_ultimate_gain_is_where_the_closed_loop_begins_to_oscillate():
     scenario = linear_laboratory()
-    point, table = ultimate_point(scenario), NominalTable.of(scenario)
+    point, table = ultimate_point(scenario), NominalTable.from_scenario(scenario)
     for factor, stable in ((0.999, True), (1.001, False)):
         D = np.zeros(SIGNALS)
         D[0], D[7] = -factor * point.gain, factor * point.gain
@@ -131,7 +131,7 @@ def test_ultimate_gain_is_where_the_closed_loop_begins_to_oscillate():
 
 def test_rules_make_stable_loops_or_say_so():
     scenario = linear_laboratory()
-    table = NominalTable.of(scenario)
+    table = NominalTable.from_scenario(scenario)
     for rule in (PIDRule(bandwidth=1.0), PIDRule(share=0.2)):
         law = pid_law(rule.gains(scenario), scenario.control_period)
         assert SampledClosedLoop(table, law).radius < 1.0
@@ -145,7 +145,9 @@ def test_closed_loop_response_is_what_a_simulated_sine_shows():
     scenario = linear_laboratory()
     gains = PIDRule(bandwidth=1.0).gains(scenario)
     frequency = 6.0
-    loop = SampledClosedLoop(NominalTable.of(scenario), pid_law(gains, scenario.control_period))
+    loop = SampledClosedLoop(
+        NominalTable.from_scenario(scenario), pid_law(gains, scenario.control_period)
+    )
     controller, simulation = pid(scenario, gains), Simulation(scenario, 1)
     simulation.start([0], [np.random.default_rng(0)])
     reader_rows = SignalReader(scenario).rows[:4, 5:]  # x_W to target signals

@@ -17,7 +17,7 @@ def decibels(response):
 
 def test_the_three_poles_are_placed():
     scenario, design = laboratory(), TVCDesign(position_bandwidth=1.5, oil_damping=0.25)
-    table = NominalTable.of(scenario)
+    table = NominalTable.from_scenario(scenario)
     poles = (
         np.log(SampledClosedLoop(table, tvc_law(scenario, design)).poles.astype(complex)) / table.period
     )
@@ -29,7 +29,7 @@ def test_the_three_poles_are_placed():
 
 def test_acceleration_response_is_flat_over_the_band():
     scenario = laboratory()
-    table = NominalTable.of(scenario)
+    table = NominalTable.from_scenario(scenario)
     gentle = TVCDesign(oil_damping=0.06, highest=5.0)
     ripple = decibels(SampledClosedLoop(table, tvc_law(scenario, gentle)).response(gentle.band))
     assert ripple.min() > -0.3 and ripple.max() < 1.2
@@ -48,7 +48,7 @@ def test_acceleration_response_is_flat_over_the_band():
 
 def test_feed_forward_is_the_flattest_of_its_kind():
     scenario, design = laboratory(), TVCDesign()
-    table, law = NominalTable.of(scenario), tvc_law(scenario, design)
+    table, law = NominalTable.from_scenario(scenario), tvc_law(scenario, design)
 
     def ripple(D):
         loop = SampledClosedLoop(table, LinearLaw.static(D))
@@ -67,7 +67,7 @@ def test_mistakes_are_named():
         TVCDesign(lowest=5.0, highest=2.0)
     with pytest.raises(NumericalError, match="spectral radius"):
         tvc_law(laboratory(), TVCDesign(position_bandwidth=60.0))
-    table = NominalTable.of(laboratory())
+    table = NominalTable.from_scenario(laboratory())
     with pytest.raises(NumericalError, match="independent"):
         feedback_gains(table, np.array([0.9, 0.9, 0.8]) + 0j)
     with pytest.raises(ValueError, match="table_acceleration"):
@@ -92,4 +92,7 @@ def test_a_storey_stiffer_than_the_oil_column_is_not_taken_for_it(stories, frequ
     # The same table under a soft specimen of that mass: what is on it moves the oil column by a percent.
     soft = make_scenario("laboratory", {"stories": 2, "mass_ratio": 0.5}).plant
     assert plant.oil_column_frequency == pytest.approx(soft.natural_frequencies[-1], rel=0.01)
-    assert np.isfinite(tvc_law(scenario, TVCDesign()).D).all()  # raises where its loop is not stable
+    assert (
+        SampledClosedLoop(NominalTable.from_scenario(scenario), tvc_law(scenario, TVCDesign())).radius
+        < 1.0
+    )

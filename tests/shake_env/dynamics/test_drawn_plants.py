@@ -16,7 +16,7 @@ from shake_env.model.nonlinearity import Friction, Nonlinearity, ServoValve, Yie
 from shake_env.model.plant import stationary_covariance
 from shake_env.scenario.observation import Sensing, Sensor
 from shake_env.scenario.uncertainty import Uncertainty, Uniform
-from shake_env.simulation.plant_batch import Fleet
+from shake_env.simulation.plant_batch import PlantBatch
 
 small = pytest.importorskip("shake_env.kernels.small_matrices")
 
@@ -72,15 +72,15 @@ def test_every_matrix_is_the_one_that_arrays_make(
     stories, second_order, yields, highpass, sensors, directions, seed
 ):
     given = scenario(stories, second_order, yields, highpass, sensors, directions)
-    fleet, reference = Fleet(given, 3), Fleet(given, 3)
-    assert fleet._compiled is not None
+    batch, reference = PlantBatch(given, 3), PlantBatch(given, 3)
+    assert batch._compiled is not None
     reference._compiled = None
-    for each in (fleet, reference):
-        each.draw([2, 0], [np.random.default_rng((seed, i)) for i in range(2)])
-    ours, theirs = fleet._stacks(), reference._stacks()
+    for each in (batch, reference):
+        each.sample([2, 0], [np.random.default_rng((seed, i)) for i in range(2)])
+    ours, theirs = batch._stacks(), reference._stacks()
     low_passes = given.observation.low_passes
     for lane in (2, 0):
-        true = fleet.plants[lane]
+        true = batch.plants[lane]
         scale = controlled_scale(true.plant, true.parts, low_passes)
         size = {"plant_dynamics_advance": np.concatenate([1.0 / scale, np.ones(4 + stories * yields)])}
         for name, expected in theirs.items():
@@ -165,7 +165,7 @@ def test_what_is_unsound_is_refused_as_the_reference_refuses_it():
     """A drawn plant that the physics step does not resolve names the field."""
     fast = Uncertainty(storey_frequency=Uniform(900.0, 900.0))
     given = make_scenario("linear", {"uncertainty": fast, "physics_step": 1e-3, "control_rate": 200.0})
-    fleet = Fleet(given, 1)
+    batch = PlantBatch(given, 1)
     with pytest.raises(ScenarioError, match="stiffnesses"):
-        fleet.draw([0], [np.random.default_rng(0)])
-    assert fleet.plants == [given] and math.isfinite(fleet._noise.sum())
+        batch.sample([0], [np.random.default_rng(0)])
+    assert batch.plants == [given] and math.isfinite(batch._noise.sum())

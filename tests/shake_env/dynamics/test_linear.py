@@ -67,7 +67,7 @@ def tracking_run(equations, stories, seconds=3.0):
     p = plant(equations, stories)
     discrete = DiscretePlant(p, 1e-3, 5)
     model, noise = augmented(p, 1e-3)
-    kernel = TableDynamics.of(discrete)
+    kernel = TableDynamics.from_plant(discrete)
     steps, rng = round(seconds / 5e-3), np.random.default_rng(0)
     current = np.cumsum(0.004 * rng.standard_normal(steps))
     x, table = np.zeros(model.order), np.zeros(kernel.states)
@@ -200,7 +200,7 @@ def test_one_period_is_its_physics_steps_for_any_rate(substeps):
     p = plant(ModelEquations())
     discrete = DiscretePlant(p, 1e-3, substeps)
     keep = np.r_[p.layout.controlled]
-    model, kernel = discrete.model, TableDynamics.of(discrete)
+    model, kernel = discrete.model, TableDynamics.from_plant(discrete)
     x0 = np.random.default_rng(0).standard_normal(len(keep)) * p.state_scale[keep]
     response = kernel.control_step(x0, np.asarray(0.02))
     x = np.zeros(p.layout.order)
@@ -217,7 +217,7 @@ def test_one_period_is_its_physics_steps_for_any_rate(substeps):
 def test_finer_physics_steps_change_nothing_at_the_period_ends():
     # Exact discretisation has no step error; only the stage cost's samples lie closer.
     coarse, fine = (
-        TableDynamics.of(DiscretePlant(plant(ModelEquations()), dt, n))
+        TableDynamics.from_plant(DiscretePlant(plant(ModelEquations()), dt, n))
         for dt, n in ((1e-3, 5), (2.5e-4, 20))
     )
     scale = plant(ModelEquations()).state_scale[2:12]
@@ -232,7 +232,7 @@ def test_finer_physics_steps_change_nothing_at_the_period_ends():
 
 
 def test_update_is_linear():
-    kernel = TableDynamics.of(DiscretePlant(plant(ModelEquations()), 1e-3, 5))
+    kernel = TableDynamics.from_plant(DiscretePlant(plant(ModelEquations()), 1e-3, 5))
     rng = np.random.default_rng(3)
     scale = plant(ModelEquations()).state_scale[2:12]
     x, y = rng.standard_normal((2, 6, 10)) * scale
@@ -248,13 +248,13 @@ def test_update_is_linear():
 
 def test_rest_stays_at_rest():
     for name in EQUATIONS:
-        kernel = TableDynamics.of(DiscretePlant(plant(EQUATIONS[name]), 1e-3, 5))
+        kernel = TableDynamics.from_plant(DiscretePlant(plant(EQUATIONS[name]), 1e-3, 5))
         response = kernel.control_step(np.zeros(10), np.zeros(()))
         assert not np.any(response.state) and not np.any(response.base_shear)
 
 
 def test_leading_axes_are_the_batch():
-    kernel = TableDynamics.of(DiscretePlant(plant(ModelEquations()), 1e-3, 5))
+    kernel = TableDynamics.from_plant(DiscretePlant(plant(ModelEquations()), 1e-3, 5))
     rng = np.random.default_rng(3)
     x = rng.standard_normal((4, 3, 10)) * plant(ModelEquations()).state_scale[2:12]
     u = rng.standard_normal((4, 3))

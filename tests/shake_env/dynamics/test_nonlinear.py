@@ -55,7 +55,7 @@ def drive(time):
 def reference(parts, duration):
     """Integrate the same equations by LSODA to a tight tolerance, period by period."""
     plant, scale = controlled_plant(PLANT, parts), controlled_scale(PLANT, parts)
-    dynamics = NonlinearDynamics.of(PLANT, parts, 1e-3, 5)
+    dynamics = NonlinearDynamics.from_plant(PLANT, parts, 1e-3, 5)
     limit = parts.valve.spool_limit
     lag, gain = PLANT.actuator.valve_time_constant, PLANT.actuator.valve_gain
     state = np.zeros(plant.order)
@@ -87,7 +87,7 @@ def reference(parts, duration):
 
 
 def stepped(parts, duration, substeps):
-    dynamics = NonlinearDynamics.of(PLANT, parts, PERIOD / substeps, substeps)
+    dynamics = NonlinearDynamics.from_plant(PLANT, parts, PERIOD / substeps, substeps)
     state = np.zeros(dynamics.states)
     for period in range(round(duration / PERIOD)):
         state = dynamics.control_step(state, np.asarray(drive(period * PERIOD))).state
@@ -145,8 +145,8 @@ LIMITS = {
 @pytest.mark.parametrize("name", LIMITS)
 def test_limit_cases_are_the_linear_plant_to_the_last_bit(name, compiled, monkeypatch):
     monkeypatch.setattr(numba_support, "COMPILED", compiled)
-    linear = NonlinearDynamics.of(PLANT, Nonlinearity(), 1e-3, 5)
-    other = NonlinearDynamics.of(PLANT, LIMITS[name], 1e-3, 5)
+    linear = NonlinearDynamics.from_plant(PLANT, Nonlinearity(), 1e-3, 5)
+    other = NonlinearDynamics.from_plant(PLANT, LIMITS[name], 1e-3, 5)
     rng = np.random.default_rng(0)
     state = np.zeros((3, linear.states))
     wide = np.zeros((3, other.states))
@@ -168,7 +168,7 @@ def test_limit_cases_are_the_linear_plant_to_the_last_bit(name, compiled, monkey
 def test_without_parts_it_equals_the_lifted_linear_step():
     scenario = make_scenario("linear", {"stories": 3})
     lifted = scenario.discrete.lifted
-    dynamics = NonlinearDynamics.of(scenario.plant, Nonlinearity(), 1e-3, 5)
+    dynamics = NonlinearDynamics.from_plant(scenario.plant, Nonlinearity(), 1e-3, 5)
     layout = scenario.plant.layout
     rng = np.random.default_rng(1)
     scale = scenario.plant.state_scale
@@ -236,7 +236,7 @@ def test_the_kernel_creates_no_energy_by_friction_or_yielding(name):
     parts, plant = DISSIPATING[name], make_scenario("linear", {"stories": 3}).plant
     a, specimen, n = plant.actuator, plant.specimen, 3
     masses, stiffnesses = np.asarray(specimen.masses), np.asarray(specimen.stiffnesses)
-    dynamics = NonlinearDynamics.of(plant, parts, 1e-3, 1)
+    dynamics = NonlinearDynamics.from_plant(plant, parts, 1e-3, 1)
     state = np.zeros((32, dynamics.states))
     linear = slice(0, 4 + 2 * n)
     shape = (32, 4 + 2 * n)
@@ -283,7 +283,9 @@ def test_oil_flow_curve_is_the_orifice():
 
 @pytest.mark.parametrize("delay", [1, 2, 5, 7, 12])
 def test_a_delay_moves_the_response_by_its_physics_steps(delay):
-    now, late = (NonlinearDynamics.of(PLANT, Nonlinearity(), 1e-3, 5, delay=d) for d in (0, delay))
+    now, late = (
+        NonlinearDynamics.from_plant(PLANT, Nonlinearity(), 1e-3, 5, delay=d) for d in (0, delay)
+    )
     rng = np.random.default_rng(2)
     histories = []
     commands = rng.normal(0.0, 0.01, 60)
@@ -306,7 +308,7 @@ def test_arrival_picks_one_command_for_each_physics_step():
 @pytest.mark.parametrize("name", [*SMOOTH, *KINKED])
 def test_gradients_agree_with_finite_differences(name):
     parts = (SMOOTH | KINKED)[name]
-    dynamics = NonlinearDynamics.of(PLANT, parts, 1e-3, 5, delay=2)
+    dynamics = NonlinearDynamics.from_plant(PLANT, parts, 1e-3, 5, delay=2)
     times = [period * PERIOD for period in range(24)]
 
     def cost(weights, library):
@@ -321,7 +323,7 @@ def test_gradients_agree_with_finite_differences(name):
             )
         return total
 
-    model = dynamics.like(torch.zeros(1, dtype=torch.float64))
+    model = dynamics.to(torch.zeros(1, dtype=torch.float64))
     weights = torch.full((24,), 1.1, dtype=torch.float64, requires_grad=True)
     cost(weights, torch).backward()
     model = dynamics
@@ -337,8 +339,8 @@ def test_gradients_agree_with_finite_differences(name):
 
 def test_numpy_and_torch_step_alike():
     parts = KINKED["all"]
-    dynamics = NonlinearDynamics.of(PLANT, parts, 1e-3, 5, delay=3)
-    tensor = dynamics.like(torch.zeros(1, dtype=torch.float64))
+    dynamics = NonlinearDynamics.from_plant(PLANT, parts, 1e-3, 5, delay=3)
+    tensor = dynamics.to(torch.zeros(1, dtype=torch.float64))
     state, other = np.zeros((4, dynamics.states)), torch.zeros((4, dynamics.states), dtype=torch.float64)
     rng = np.random.default_rng(3)
     scale = np.concatenate([controlled_scale(PLANT, parts), [0.025]])
@@ -380,7 +382,7 @@ def test_printed_equations_take_no_nonlinear_part():
     scenario = make_scenario("as-printed")
     assert scenario.equations == ModelEquations.as_printed()
     with pytest.raises(ScenarioError, match="corrected equations"):
-        NonlinearDynamics.of(scenario.plant, SMOOTH["friction"], 1e-3, 5)
+        NonlinearDynamics.from_plant(scenario.plant, SMOOTH["friction"], 1e-3, 5)
 
 
 def test_a_millisecond_resolves_friction_and_a_control_period_does_not():

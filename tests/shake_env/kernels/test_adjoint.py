@@ -24,9 +24,9 @@ PARTS_OF_A_RESPONSE = ("state", "table_acceleration", "base_shear")
 
 def both(dynamics):
     """Return the compiled period and the reference, for torch."""
-    compiled = CompiledPeriod.of(dynamics, LIKE)
+    compiled = CompiledPeriod.from_dynamics(dynamics, LIKE)
     assert compiled is not None
-    return compiled, dynamics.like(LIKE)
+    return compiled, dynamics.to(LIKE)
 
 
 def random_start(dynamics, stories, rng, lanes=3):
@@ -155,10 +155,10 @@ def test_a_window_through_the_compiled_plant_is_the_references(name, overrides, 
 
 
 def test_without_numba_in_single_precision_or_elsewhere_torch_takes_the_update_apart(monkeypatch):
-    model = TableModel.of(make_scenario("laboratory"))
+    model = TableModel.from_scenario(make_scenario("laboratory"))
     assert isinstance(torch_model(model, LIKE).dynamics, CompiledPeriod)
     for other in (LIKE.float(), LIKE.to("meta")):
-        assert CompiledPeriod.of(model.dynamics, other) is None
+        assert CompiledPeriod.from_dynamics(model.dynamics, other) is None
     assert isinstance(torch_model(model, LIKE.float()).dynamics, NonlinearDynamics)
     monkeypatch.setattr(numba_support, "_load", lambda name: None)
     fresh = replace(model, dynamics=replace(model.dynamics))
@@ -167,7 +167,7 @@ def test_without_numba_in_single_precision_or_elsewhere_torch_takes_the_update_a
 
 def test_a_lost_table_spoils_no_other_lanes_slope():
     dynamics = dynamics_of(EVERYTHING, 2, 5, 2)
-    adjoint = CompiledPeriod.of(dynamics, LIKE).adjoint
+    adjoint = CompiledPeriod.from_dynamics(dynamics, LIKE).adjoint
     rng = np.random.default_rng(0)
     state, current = random_start(dynamics, 2, rng)
     slopes = [rng.normal(size=(3, n)) for n in (dynamics.states, 5, 5)]

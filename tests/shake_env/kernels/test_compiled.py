@@ -174,7 +174,7 @@ def test_numba_is_imported_only_for_a_nonlinear_step():
         "from shake_env.model.nonlinearity import Friction, Nonlinearity\n"
         "def step(scenario):\n"
         "    from shake_env.simulation.transition import TableModel\n"
-        "    dynamics = TableModel.of(scenario).dynamics\n"
+        "    dynamics = TableModel.from_scenario(scenario).dynamics\n"
         "    size = getattr(dynamics, 'states')\n"
         "    dynamics.control_step(np.zeros((2, size)), np.zeros(2))\n"
         "    return 'numba' in sys.modules\n"

@@ -97,10 +97,8 @@ def test_without_a_folder_that_can_be_written_one_line_says_so(monkeypatch, capl
 
     monkeypatch.setattr(compiling, "njit", refusing)
     assert compiling.cached(int64(int64), lambda x: x + 1)(2) == 3
-    assert [record.message for record in caplog.records] == [
-        "no folder for compiled functions can be written: they are compiled in every process "
-        "(NUMBA_CACHE_DIR names another folder)"
-    ]
+    (record,) = caplog.records
+    assert record.levelname == "WARNING" and "NUMBA_CACHE_DIR" in record.message
 
 
 def test_the_stamp_changes_with_every_source(tmp_path, monkeypatch):

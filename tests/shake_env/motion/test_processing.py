@@ -126,7 +126,7 @@ def test_peaks_of_a_sine_are_those_of_theory():
     omega = 2.0 * math.pi * frequency
     motion = RecordedMotion(record=burst(frequency, peak), highpass_frequency=None)
     capacity = TableCapacity(moving_mass=200.0, table_damping=1000.0)
-    found = MotionPeaks.of(motion, capacity, 1e-3)
+    found = MotionPeaks.from_motion(motion, capacity, 1e-3)
     assert found.acceleration == pytest.approx(peak, rel=5e-3)
     assert found.velocity == pytest.approx(peak / omega, rel=5e-3)
     assert found.displacement == pytest.approx(peak / omega**2, rel=1e-2)
@@ -149,7 +149,7 @@ def test_amplitude_comes_down_to_the_limit_that_governs(limit):
     assert fit.governed_by == limit and fit.fits and fit.scaling == "amplitude"
     assert fit.motion.amplitude == 0.9 * fit.factor
     assert fit.motion == replace(motion, amplitude=fit.motion.amplitude)
-    assert fit.after == MotionPeaks.of(fit.motion, LIMITS[limit], 1e-3)
+    assert fit.after == MotionPeaks.from_motion(fit.motion, LIMITS[limit], 1e-3)
     if limit == "nothing":
         assert fit.factor == 1.0 and fit.after == fit.before
     else:
@@ -198,7 +198,7 @@ def test_a_record_at_rest_needs_no_scale():
 
 
 def test_capacity_of_an_actuator_under_a_specimen():
-    capacity = TableCapacity.of(Actuator(), Specimen.uniform(mass_ratio=0.5))
+    capacity = TableCapacity.from_actuator(Actuator(), Specimen.uniform(mass_ratio=0.5))
     assert capacity == TableCapacity()
     assert capacity.moving_mass == 270.0 and capacity.force == pytest.approx(49_770.0)
     with pytest.raises(ParameterError, match="velocity"):

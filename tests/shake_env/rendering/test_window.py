@@ -20,7 +20,7 @@ from PIL import Image
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from agents.__main__ import main
-from agents.reporting.video import FILMS, film
+from agents.reporting.video import FILMS, write_video
 from shake_env import ShakeTableEnv, ShakeTableVectorEnv
 from shake_env.errors import ScenarioError
 
@@ -170,5 +170,5 @@ def test_films_hold_no_more_than_a_frame(tmp_path):
             alive.append(shade)
             yield np.full((48, 64, 3), 10 * shade, np.uint8)
 
-    assert film(tmp_path / "deep" / "a.mp4", frames()) == 20
+    assert write_video(tmp_path / "deep" / "a.mp4", frames()) == 20
     assert alive == list(range(20))

@@ -115,7 +115,7 @@ def test_one_bad_reading_is_bridged_reported_and_forgotten(value, place, clean):
             observation[1, entry] = value
 
     supervised = Supervised(lqg(scenario), scenario)
-    channels = Channels.of(scenario)
+    channels = Channels.from_scenario(scenario)
     actions, report = drive(supervised, scenario, 140, spoil, channels.places[place])
     assert np.isfinite(actions).all()
     counts = {name: count.tolist() for name, count in report.faults.items()}
@@ -130,7 +130,7 @@ def test_one_bad_reading_is_bridged_reported_and_forgotten(value, place, clean):
 @pytest.mark.parametrize("which", ["ground filter", "preview", "all"])
 def test_any_entry_that_is_not_a_number_is_held_and_counted(which, clean):
     scenario = make_scenario("laboratory")
-    layout, places = scenario.observation, Channels.of(scenario).places
+    layout, places = scenario.observation, Channels.from_scenario(scenario).places
     other = np.setdiff1d(np.arange(layout.size), places)
     entry = {"ground filter": 1, "preview": other[-1], "all": np.arange(layout.size)}[which]
 
@@ -172,7 +172,7 @@ def test_a_frozen_reading_without_noise_is_found_once_the_table_moves(signal):
     scenario = make_scenario("laboratory")
     quiet = tuple(replace(s, noise=0.0, bias=0.0) for s in scenario.sensing.sensors)
     scenario = replace(scenario, sensing=replace(scenario.sensing, sensors=quiet))
-    channels, first = Channels.of(scenario), {}
+    channels, first = Channels.from_scenario(scenario), {}
 
     def freeze(k, observation, entry):
         observation[:, entry] = first.setdefault("value", observation[:, entry].copy())
@@ -183,7 +183,7 @@ def test_a_frozen_reading_without_noise_is_found_once_the_table_moves(signal):
 
 
 def test_equal_readings_are_a_fault_only_where_noise_makes_them_rare():
-    channels = Channels.of(make_scenario("laboratory"))
+    channels = Channels.from_scenario(make_scenario("laboratory"))
     readings = 1e-3 * channels.reach[None].clip(max=1e6)
     moving = readings * np.array([[1.0, 0.9, 0.9, 0.9, 0.9]])
     equal, found = np.zeros((1, 5), dtype=np.int64), []
@@ -211,7 +211,7 @@ def test_what_the_scenario_does_not_know_widens_the_covariance():
             bulk_modulus=Uniform(0.2 * beta, 1.8 * beta),
         ),
     )  # fmt: skip
-    known, wide = TableStateObserver.of(scenario), TableStateObserver.of(unsure)
+    known, wide = TableStateObserver.from_scenario(scenario), TableStateObserver.from_scenario(unsure)
     commands, still = np.array([[0.0, 0.04]]), np.zeros(1)
     one, two = (
         each.predict(each.look(each.begin(1), np.zeros((1, 5)))[1], commands, still).covariance[0]
@@ -242,7 +242,7 @@ def test_the_study_writes_what_the_docs_show(tmp_path, capsys):
 
 def test_a_table_may_begin_off_the_middle_of_its_stroke():
     scenario = make_scenario("laboratory")
-    place = Channels.of(scenario).places[1]
+    place = Channels.from_scenario(scenario).places[1]
     offset = 0.02 / scenario.observation.reading_scale[0]
 
     def shift(k, observation, entry):

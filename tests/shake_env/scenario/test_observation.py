@@ -269,14 +269,14 @@ def test_torch_reads_what_numpy_reads_and_lets_gradients_through():
     scenario = make_scenario("linear", options)
     simulation, *_ = follow(scenario, 20, 2)
     like = torch.zeros(1, dtype=torch.float64)
-    model = TableModel.of(scenario).like(like)
-    state, memory = as_like(simulation.state, like), simulation.memory.like(like)
+    model = TableModel.from_scenario(scenario).to(like)
+    state, memory = as_like(simulation.state, like), simulation.memory.to(like)
     action = torch.full((2,), 0.03, dtype=torch.float64, requires_grad=True)
     ground, noise = simulation.advance_ground()
-    ground, noise = ground.like(like), as_like(noise, like)
+    ground, noise = ground.to(like), as_like(noise, like)
     outcome = model.transition(state, action, ground)
     seen, _ = model.observe(outcome, ground, action, memory, noise)
-    plain = TableModel.of(scenario)
+    plain = TableModel.from_scenario(scenario)
     theirs = plain.transition(simulation.state, np.full(2, 0.03), _numpy(ground))
     expected, _ = plain.observe(
         theirs, _numpy(ground), np.full(2, 0.03), simulation.memory, noise.numpy()
@@ -351,8 +351,12 @@ def test_a_fractional_delay_is_the_finer_steps_delay():
     errors = []
     for refine in (1, 2):  # the coarse step is 1 ms / refine, with a delay of a whole number and a half
         delay = 2.5 if refine == 1 else 4.5
-        coarse = NonlinearDynamics.of(plant, Nonlinearity(), 1e-3 / refine, 5 * refine, delay=delay)
-        fine = NonlinearDynamics.of(plant, Nonlinearity(), 5e-4 / refine, 10 * refine, delay=2 * delay)
+        coarse = NonlinearDynamics.from_plant(
+            plant, Nonlinearity(), 1e-3 / refine, 5 * refine, delay=delay
+        )
+        fine = NonlinearDynamics.from_plant(
+            plant, Nonlinearity(), 5e-4 / refine, 10 * refine, delay=2 * delay
+        )
         rng = np.random.default_rng(1)
         a, b = np.zeros(coarse.states), np.zeros(fine.states)
         worst = size = 0.0

@@ -158,7 +158,7 @@ def test_limits_must_be_positive(field, value):
 
 @pytest.mark.parametrize("value", [0.99, -1.0, math.nan, math.inf, "5", None], ids=repr)
 def test_limit_cost_factor(value):
-    with pytest.raises(ParameterError, match=r"cost_factor = .*at least 1, or crashing pays"):
+    with pytest.raises(ParameterError, match=r"cost_factor = .*breaking a limit costs less"):
         Limits(cost_factor=value)
 
 

@@ -124,7 +124,7 @@ def test_a_scenario_follows_from_the_table(name):
         assert capacity.force == pytest.approx(table.force, rel=1e-6)
         if base == "records":
             for motion in scenario.motion.motions:
-                peaks = MotionPeaks.of(motion, capacity, scenario.physics_step)
+                peaks = MotionPeaks.from_motion(motion, capacity, scenario.physics_step)
                 assert peaks.displacement <= capacity.displacement
                 assert peaks.velocity <= capacity.velocity
                 assert peaks.force <= capacity.force

@@ -108,8 +108,10 @@ def pair(scenario, lanes):
         patch.setattr(numba_support, "COMPILED", False)
         plain = Simulation(scenario, lanes)
     assert isinstance(plain.engine, ReferenceEngine)
-    if compiled.fleet is not None:  # whose plants dynamics/test_drawn_plants.py holds equal to arrays'
-        compiled.fleet._compiled = None
+    if (
+        compiled.plant_batch is not None
+    ):  # whose plants dynamics/test_drawn_plants.py holds equal to arrays'
+        compiled.plant_batch._compiled = None
     return compiled, plain
 
 
@@ -362,7 +364,9 @@ def test_the_fields_engines_agree(lanes):
     ours = compiled.start(range(lanes), streams(range(lanes), 3))
     theirs = uncompiled(lambda: plain.start(range(lanes), streams(range(lanes), 3)))
     np.testing.assert_array_max_ulp(ours, theirs, 1)
-    assert len({plant.nonlinearity.valve.supply_pressure for plant in compiled.fleet.plants}) == lanes
+    assert (
+        len({plant.nonlinearity.valve.supply_pressure for plant in compiled.plant_batch.plants}) == lanes
+    )
     gain = compiled.memory.gain
     np.testing.assert_allclose(gain, plain.memory.gain)
     assert 0.0 < np.abs(gain).max() < 0.06

@@ -13,7 +13,7 @@ from shake_env.dynamics.nonlinear import NonlinearDynamics
 from shake_env.errors import ParameterError
 from shake_env.model.nonlinearity import Friction, Nonlinearity, ServoValve, Yielding
 from shake_env.scenario.uncertainty import Uncertainty, Uniform
-from shake_env.simulation.plant_batch import Fleet
+from shake_env.simulation.plant_batch import PlantBatch
 from shake_env.simulation.simulation import Simulation
 from shake_env.simulation.transition import dynamics_of
 
@@ -55,13 +55,13 @@ MOTIONS = [FilteredNoise(duration=2.0), RecordedMotion(record="napa2014_68150_hn
 def test_a_lane_of_a_fleet_is_its_drawn_plant_alone():
     """Each lane equals a batch of one of the scenario that was drawn, under the same ground."""
     scenario = uncertain()
-    fleet = Simulation(scenario, 4)
-    shear, reference, cost = run(fleet, 150, range(4), range(4), MOTIONS)
-    assert len({plant.specimen.mass for plant in fleet.fleet.plants}) == 4
+    batch = Simulation(scenario, 4)
+    shear, reference, cost = run(batch, 150, range(4), range(4), MOTIONS)
+    assert len({plant.specimen.mass for plant in batch.plant_batch.plants}) == 4
     size = np.abs(shear).max()
     for lane in range(4):
-        true = replace(fleet.fleet.plants[lane], uncertainty=Uncertainty())
-        dynamics = NonlinearDynamics.of(
+        true = replace(batch.plant_batch.plants[lane], uncertainty=Uncertainty())
+        dynamics = NonlinearDynamics.from_plant(
             true.plant, true.nonlinearity, 1e-3, 5, delay=true.delay, longest_delay=6
         )
         alone = Simulation(scenario, 1)
@@ -80,18 +80,18 @@ def test_a_lane_of_a_fleet_is_its_drawn_plant_alone():
 
 def test_the_fields_plants_drawn_at_once_are_those_drawn_one_by_one():
     scenario = make_scenario("field")
-    fleet = Fleet(scenario, 40)
-    fleet.draw(range(40), [np.random.default_rng(seed) for seed in range(40)])
+    batch = PlantBatch(scenario, 40)
+    batch.sample(range(40), [np.random.default_rng(seed) for seed in range(40)])
     for lane in (0, 7, 39):
         true = scenario.drawn(np.random.default_rng(lane))
-        assert fleet.plants[lane] == true
+        assert batch.plants[lane] == true
         own = dynamics_of(true)
         scale = nonlinear_dynamics.controlled_scale(
             true.plant, true.parts, scenario.observation.low_passes
         )
         m = len(scale)
         for name in nonlinear_dynamics.ARRAYS:
-            ours, theirs = getattr(fleet.model.dynamics, name)[lane], getattr(own, name)
+            ours, theirs = getattr(batch.model.dynamics, name)[lane], getattr(own, name)
             if name == "advance":  # nothing feels a low-pass: there are zeros, but for rounding
                 ours, theirs = (np.array(part) for part in (ours, theirs))
                 for part in (ours, theirs):
@@ -100,17 +100,17 @@ def test_the_fields_plants_drawn_at_once_are_those_drawn_one_by_one():
                 ours, theirs = ours[:, m:], theirs[:, m:]
             np.testing.assert_allclose(ours, theirs, rtol=1e-11, atol=0, err_msg=name)
     nominal = scenario.actuator
-    drawn = [plant.actuator for plant in fleet.plants]
+    drawn = [plant.actuator for plant in batch.plants]
     for name, share in (("bulk_modulus", 0.2), ("valve_gain", 0.1), ("table_mass", 0.02)):
         ratio = np.array([getattr(each, name) for each in drawn]) / getattr(nominal, name)
         assert 0.8 * share < np.abs(ratio - 1.0).max() <= share and abs(np.mean(ratio) - 1.0) < share / 3
-    valves = [plant.nonlinearity.valve for plant in fleet.plants]
+    valves = [plant.nonlinearity.valve for plant in batch.plants]
     assert {valve.rated_pressure for valve in valves} == {21e6}
     assert 17e6 <= min(v.supply_pressure for v in valves) < 18e6
-    assert 1.5 <= min(plant.delay for plant in fleet.plants) < 1.8
-    storeys = np.array([plant.specimen.masses for plant in fleet.plants])
+    assert 1.5 <= min(plant.delay for plant in batch.plants) < 1.8
+    storeys = np.array([plant.specimen.masses for plant in batch.plants])
     assert 0.05 < np.std(storeys[:, 0] / storeys[:, 1]) < 0.12
-    assert all(plant.plant.specimen.mass > 0.0 for plant in fleet.plants)
+    assert all(plant.plant.specimen.mass > 0.0 for plant in batch.plants)
 
 
 @pytest.mark.parametrize("yielding", [Yielding(), Yielding(yield_drift=0.006)])
@@ -123,24 +123,24 @@ def test_plants_drawn_at_once_are_those_drawn_one_by_one(yielding, valve):
     scenario = uncertain(
         nonlinearity=parts, limits="laboratory", highpass_frequency=0.5, uncertainty=wide
     )
-    fleet = Fleet(scenario, 9)
-    fleet.draw([7, 2, 5], [np.random.default_rng(seed) for seed in (1, 2, 3)])
-    assert fleet.plants[0] == scenario
+    batch = PlantBatch(scenario, 9)
+    batch.sample([7, 2, 5], [np.random.default_rng(seed) for seed in (1, 2, 3)])
+    assert batch.plants[0] == scenario
     for lane, seed in ((7, 1), (2, 2), (5, 3)):
         true = scenario.drawn(np.random.default_rng(seed))
-        assert fleet.plants[lane] == true
-        maps = GroundMaps.of(true.discrete, yielding)
-        ours = {name: getattr(fleet.model.dynamics, name)[lane] for name in nonlinear_dynamics.ARRAYS}
+        assert batch.plants[lane] == true
+        maps = GroundMaps.from_plant(true.discrete, yielding)
+        ours = {name: getattr(batch.model.dynamics, name)[lane] for name in nonlinear_dynamics.ARRAYS}
         own = dynamics_of(true)
         theirs = {name: getattr(own, name) for name in nonlinear_dynamics.ARRAYS}
         for field in ("acceleration", "force", "current"):
-            ours[field] = getattr(fleet.model.stage_cost, field)[lane]
+            ours[field] = getattr(batch.model.stage_cost, field)[lane]
             theirs[field] = getattr(true.stage_cost, field)
             assert isinstance(theirs[field], float)  # one plant's numbers are numbers
-        ours["record"], theirs["record"] = fleet.maps.record[lane], maps.record
+        ours["record"], theirs["record"] = batch.maps.record[lane], maps.record
         if yielding.active:
             for name in reference.ARRAYS:
-                ours[name + " of the reference"] = getattr(fleet.maps.yielding, name)[lane]
+                ours[name + " of the reference"] = getattr(batch.maps.yielding, name)[lane]
                 theirs[name + " of the reference"] = getattr(maps.yielding, name)
         sizes = nonlinear_dynamics.controlled_scale(true.plant, true.parts)
         m = len(sizes)
@@ -157,7 +157,7 @@ def test_plants_drawn_at_once_are_those_drawn_one_by_one(yielding, valve):
                 continue
             np.testing.assert_allclose(found, expected, rtol=2e-12, atol=0, err_msg=name)
         # The second direction is what the first leaves of x_w, a quarter of its noise.
-        noise, expected = fleet.maps.noise[lane], maps.noise
+        noise, expected = batch.maps.noise[lane], maps.noise
         scale = np.linalg.norm(expected, axis=1, keepdims=True)
         np.testing.assert_allclose(noise / scale, expected / scale, rtol=0, atol=1e-12)
 
@@ -170,9 +170,9 @@ def test_friction_that_is_only_drawn_acts(static, compiled, monkeypatch):
     nominal = Nonlinearity(friction=Friction(static=static))
     drawn = Uncertainty(coulomb_friction=Uniform(300.0, 300.0))
     scenario = make_scenario("linear", {"nonlinearity": nominal, "uncertainty": drawn, "duration": 1.0})
-    fleet = Simulation(scenario, 4)
-    shear, _, _ = run(fleet, 100, range(4), range(4))
-    true = fleet.fleet.plants[0]
+    batch = Simulation(scenario, 4)
+    shear, _, _ = run(batch, 100, range(4), range(4))
+    true = batch.plant_batch.plants[0]
     assert true.nonlinearity.friction.coulomb == 300.0
     assert true.nonlinearity.friction.static == (None if static is None else 500.0)
     alone = Simulation(replace(true, uncertainty=Uncertainty()), 4)
@@ -201,7 +201,7 @@ def test_the_reference_of_a_lane_has_its_own_variance():
     scenario = make_scenario("linear", {"uncertainty": spread, "duration": 30.0})
     simulation = Simulation(scenario, lanes)
     _, reference, _ = run(simulation, 6000, range(lanes), range(lanes))
-    analytic = np.array([p.plant.reference_shear_variance for p in simulation.fleet.plants])
+    analytic = np.array([p.plant.reference_shear_variance for p in simulation.plant_batch.plants])
     ratio = np.mean(reference[1000:] ** 2, axis=(0, 2)) / analytic
     # 25 s hold some 40 independent samples of a 4.3 Hz mode damped by 3 %; 64 lanes make the mean good
     # to 1.6 sqrt(2 / 40 / 64) = 4.5 % (95 %).
@@ -214,10 +214,10 @@ def test_draws_belong_to_the_lane_and_change_with_each_reset():
     small, large = Simulation(scenario, 1), Simulation(scenario, 5)
     small.start([0], [np.random.default_rng(3)])
     large.start(range(5), [np.random.default_rng(s) for s in (7, 3, 8, 9, 10)])
-    assert small.fleet.plants[0] == large.fleet.plants[1]
-    before = large.fleet.plants[1]
+    assert small.plant_batch.plants[0] == large.plant_batch.plants[1]
+    before = large.plant_batch.plants[1]
     large.start([1], [np.random.default_rng(4)])
-    assert large.fleet.plants[1] != before
+    assert large.plant_batch.plants[1] != before
 
 
 def test_a_snapshot_keeps_the_plants():
@@ -250,7 +250,7 @@ def test_the_yielding_reference_follows_the_table_that_tracks():
     # Ten times finer steps of the same law, the target straight between its samples.
     from shake_env.dynamics.yielding_reference import YieldingReference
 
-    fine = YieldingReference.of(scenario.plant, yielding, 1e-4)
+    fine = YieldingReference.from_plant(scenario.plant, yielding, 1e-4)
     time = np.arange(len(target)) * 1e-3
     dense = np.interp(np.arange((len(target) - 1) * 10 + 1) * 1e-4, time, target)
     _, _, shear = fine.run(np.zeros((1, 6)), dense[:, None])

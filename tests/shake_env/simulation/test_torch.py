@@ -74,13 +74,13 @@ def test_single_env_vector_lane_and_torch_agree_over_ten_seconds_and_an_autorese
     # The ground rows of the same lane, then the plant in torch.
     source = Simulation(scenario, 1)
     stream = np.random.default_rng(seed + lane)
-    model = TableModel.of(scenario).like(torch.zeros(1, dtype=torch.float64))
+    model = TableModel.from_scenario(scenario).to(torch.zeros(1, dtype=torch.float64))
     of_torch = []
     for first, last in ((0, period_steps), (period_steps, steps)):
         source.start([0], [earthquake_stream(seed + lane)] if first == 0 else stream.spawn(1))
         state = torch.zeros((1, model.dynamics.states), dtype=torch.float64)
         for t in range(first, last):
-            ground = source.advance_ground()[0].like(state)
+            ground = source.advance_ground()[0].to(state)
             outcome = model.transition(
                 state, torch.as_tensor(actions[t, lane], dtype=torch.float64), ground
             )
@@ -123,7 +123,7 @@ def test_single_env_vector_lane_and_torch_agree_over_ten_seconds_and_an_autorese
 @pytest.mark.parametrize("kind", ["batch", "single"])
 def test_leading_axes_are_the_batch_in_torch_too(kind):
     scenario = make_scenario("linear", {"stories": 3})
-    model = TableModel.of(scenario)
+    model = TableModel.from_scenario(scenario)
     rng = np.random.default_rng(0)
     shape = {"batch": (4, 3), "single": ()}[kind]
     layout, k = scenario.plant.layout, scenario.substeps
@@ -138,7 +138,7 @@ def test_leading_axes_are_the_batch_in_torch_too(kind):
     )
     expected = model.transition(state, np.asarray(action), ground)
     tensor = torch.as_tensor(state)
-    found = model.like(tensor).transition(tensor, torch.as_tensor(action), ground.like(tensor))
+    found = model.to(tensor).transition(tensor, torch.as_tensor(action), ground.to(tensor))
     assert found.response.state.shape == (*shape, 10)
     for a, b in (
         (found.response.state, expected.response.state),
@@ -168,7 +168,7 @@ def cost_of_gain(scenario, ground, weights, model, like):
 @pytest.mark.parametrize("overrides", [{}, {"equations": "as_printed", "stories": 3}], ids=str)
 def test_gradient_of_an_episode_by_a_gain_agrees_with_finite_differences(overrides):
     scenario = make_scenario("linear", overrides)
-    model = TableModel.of(scenario)
+    model = TableModel.from_scenario(scenario)
     simulation = Simulation(scenario, 4)
     simulation.start(range(4), generators(range(4)))
     ground = ground_of(simulation, 200)  # one second
@@ -181,7 +181,7 @@ def test_gradient_of_an_episode_by_a_gain_agrees_with_finite_differences(overrid
 
     weights = torch.tensor(start, dtype=torch.float64, requires_grad=True)
     like = weights.detach()
-    cost = cost_of_gain(scenario, [p.like(like) for p in ground], weights, model.like(like), torch)
+    cost = cost_of_gain(scenario, [p.to(like) for p in ground], weights, model.to(like), torch)
     assert cost.item() == pytest.approx(
         float(cost_of_gain(scenario, ground, start, model, np)), rel=1e-12
     )
@@ -203,7 +203,7 @@ def test_gradient_of_an_episode_by_a_gain_agrees_with_finite_differences(overrid
 
 def test_gradient_by_initial_state_and_actions_agrees_with_finite_differences():
     scenario = make_scenario("linear", {"stories": 2})
-    model = TableModel.of(scenario)
+    model = TableModel.from_scenario(scenario)
     simulation = Simulation(scenario, 3)
     simulation.start(range(3), generators([5, 6, 7]))
     ground = ground_of(simulation, 60)
@@ -219,7 +219,7 @@ def test_gradient_by_initial_state_and_actions_agrees_with_finite_differences():
     x = torch.tensor(x0, requires_grad=True)
     u = torch.tensor(actions, requires_grad=True)
     like = x.detach()
-    cost = total(x * torch.as_tensor(scale), list(u), model.like(like), [p.like(like) for p in ground])
+    cost = total(x * torch.as_tensor(scale), list(u), model.to(like), [p.to(like) for p in ground])
     cost.backward()
     by_state, by_action = x.grad.numpy(), u.grad.numpy()
 
@@ -243,10 +243,10 @@ def test_gradient_by_initial_state_and_actions_agrees_with_finite_differences():
 def test_clipped_actions_have_no_gradient():
     scenario = make_scenario()
     like = torch.zeros(1, dtype=torch.float64)
-    model = TableModel.of(scenario).like(like)
+    model = TableModel.from_scenario(scenario).to(like)
     simulation = Simulation(scenario, 2)
     simulation.start(range(2), generators([0, 1]))
-    ground = simulation.advance_ground()[0].like(like)
+    ground = simulation.advance_ground()[0].to(like)
     action = torch.tensor([1.5, 0.5], dtype=torch.float64, requires_grad=True)
     outcome = model.transition(torch.zeros((2, 8), dtype=torch.float64), action, ground)
     outcome.cost.total.sum().backward()
@@ -260,12 +260,12 @@ def test_single_precision_stays_close_to_double():
     simulation.start(range(8), generators(range(8)))
     ground = ground_of(simulation, 400)
     actions = np.random.default_rng(4).uniform(-0.2, 0.2, (400, 8))
-    model = TableModel.of(scenario)
+    model = TableModel.from_scenario(scenario)
     exact, _ = run(model, np.zeros((8, 8)), list(actions), ground)
     like = torch.zeros(1, dtype=torch.float32)
-    rows = [p.like(like) for p in ground]
+    rows = [p.to(like) for p in ground]
     short, states = run(
-        model.like(like),
+        model.to(like),
         torch.zeros((8, 8), dtype=torch.float32),
         list(torch.as_tensor(actions, dtype=torch.float32)),
         rows,
@@ -278,7 +278,7 @@ def test_single_precision_stays_close_to_double():
 
 def test_limits_are_found_on_tensors_as_on_arrays():
     scenario = make_scenario("linear", {"limits": "laboratory"})
-    model = TableModel.of(scenario)
+    model = TableModel.from_scenario(scenario)
     simulation = Simulation(scenario, 5)
     simulation.start(range(5), generators(range(5)))
     ground = simulation.advance_ground()[0]
@@ -287,7 +287,7 @@ def test_limits_are_found_on_tensors_as_on_arrays():
     action = np.zeros(5)
     expected = model.transition(state, action, ground).broken
     tensor = torch.as_tensor(state)
-    found = model.like(tensor).transition(tensor, torch.as_tensor(action), ground.like(tensor))
+    found = model.to(tensor).transition(tensor, torch.as_tensor(action), ground.to(tensor))
     assert found.broken.tolist() == list(expected)
     # A displaced table stays displaced; the fast, the pressed and the lost one break what they break.
     assert expected[0] == 0 and expected[1] == 2 and expected[4] == 1

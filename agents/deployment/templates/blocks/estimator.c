@@ -24,7 +24,7 @@ static void {{ b.name }}_step({{ b.type }} *s, const real *y, real *action)
     real innovation[{{ b.readings }}];
     real known[{{ b.w + b.r + b.preview }}];
     real under_way[{{ b.states + b.actions - 1 }}];
-    real exogenous[{{ b.foresight.shape[0] }}];
+    real exogenous[{{ b.predicted_ground.shape[0] }}];
     real ahead[{{ b.ahead.shape[0] }}];
     real believed[{{ b.believed }}];
 
@@ -64,7 +64,7 @@ static void {{ b.name }}_step({{ b.type }} *s, const real *y, real *action)
 {% if b.preview %}
     copy(&y[{{ b.first_preview }}], &known[{{ b.w + b.r }}], {{ b.preview }});
 {% endif %}
-    product({{ b.name }}_foresight, {{ b.foresight.shape[0] }}, {{ b.w + b.r + b.preview }}, known, exogenous);
+    product({{ b.name }}_predicted_ground, {{ b.predicted_ground.shape[0] }}, {{ b.w + b.r + b.preview }}, known, exogenous);
     copy(s->table, under_way, {{ b.states }});
 {% if b.actions > 1 %}
     copy(&s->actions[1], &under_way[{{ b.states }}], {{ b.actions - 1 }});
@@ -76,7 +76,7 @@ static void {{ b.name }}_step({{ b.type }} *s, const real *y, real *action)
     for (int i = 0; i < {{ b.ahead.shape[0] }}; i++) {
         believed[{{ b.w }} + i] = rounded(ahead[i]);
     }
-    for (int i = {{ b.w }}; i < {{ b.foresight.shape[0] }}; i++) {
+    for (int i = {{ b.w }}; i < {{ b.predicted_ground.shape[0] }}; i++) {
         believed[{{ b.ahead.shape[0] }} + i] = rounded(exogenous[i]);
     }
     {{ b.inner.name }}_step(&s->inner, believed, action);

@@ -20,7 +20,7 @@ from agents.training.model_factory import DirectPolicy, new_model
 from agents.training.run import train
 from shake_env import make_scenario
 from shake_env.errors import ParameterError
-from shake_env.simulation.plant_batch import Fleet
+from shake_env.simulation.plant_batch import PlantBatch
 
 torch = pytest.importorskip("torch")
 
@@ -144,15 +144,15 @@ def test_a_lost_table_leaves_the_gradient_finite():
 
 def test_a_linear_fleet_is_stepped_by_one_map_a_table():
     scenario = make_scenario("linear", SPECIMENS)
-    fleet = Fleet(scenario, 5)
-    fleet.draw(range(5), [np.random.default_rng(i) for i in range(5)])
+    batch = PlantBatch(scenario, 5)
+    batch.sample(range(5), [np.random.default_rng(i) for i in range(5)])
     like = torch.zeros(1, dtype=torch.float64)
-    model = torch_model(fleet.model, like)
+    model = torch_model(batch.model, like)
     assert isinstance(model.dynamics, PeriodMap)
     rng = np.random.default_rng(0)
     state = rng.standard_normal((5, model.dynamics.states))
     current = rng.standard_normal(5)
-    expected = fleet.model.dynamics.control_step(state, current)
+    expected = batch.model.dynamics.control_step(state, current)
     found = model.dynamics.control_step(torch.as_tensor(state), torch.as_tensor(current))
     for name in ("state", "table_acceleration", "base_shear"):
         one, two = getattr(found, name).numpy(), getattr(expected, name)
