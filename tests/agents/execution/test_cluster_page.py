@@ -125,7 +125,8 @@ def slurm(program, tmp_path):
     )
     program(
         "srun",
-        "while [[ $1 == --* ]]; do case $1 in --output) out=$2; shift ;; --error) err=$2; shift ;; esac\n"
+        "while [[ $1 == --* ]]; do case $1 in --output) out=$2; shift ;;\n"
+        "--error) err=$2; shift ;; esac\n"
         "shift; done\n"
         'fill() { f=${1//%j/$SLURM_JOB_ID}; echo "${f//%t/0}"; }\n'
         'exec "$@" > "$(fill "$out")" 2> "$(fill "$err")"\n',
