@@ -23,6 +23,11 @@ BEGIN = (
     "begin one with ray start --head, correct the address, or leave the option out for a cluster of "
     "this machine alone"
 )
+MISFIT = (
+    "is it Ray, of the same version? A cluster with a token needs RAY_AUTH_MODE=token here as well, and "
+    "the same token"
+)
+START = "end what else uses this machine, or try again"
 # What opens HTTP/2, which gRPC and so Ray speaks: the words of RFC 9113, 3.4, and no setting (6.5).
 _HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
 
@@ -62,7 +67,7 @@ class RayExecutor(Executor):
             ray.init(logging_level="ERROR", log_to_driver=False, runtime_env=threads, **options)
         except Exception as error:  # Ray raises that itself where a cluster does not start in time
             reason = (str(error) or type(error).__name__).strip().splitlines()[0]
-            remedy = f"cannot be used ({reason}): {BEGIN}"
+            remedy = f"cannot be used ({reason}): {MISFIT if address else START}"
             raise ParameterError("ray-address", address, remedy) from error
         errors = ray.exceptions
         self.lost = (

@@ -86,7 +86,7 @@ def test_the_slurm_script_starts_a_cluster_runs_the_command_and_ends_it(program,
     shared, calls = tmp_path / "shared", tmp_path / "calls"
     program("ray", f'echo "ray $*" >> {calls}\n', at=shared / ".venv/bin")
     # It begins when the other nodes have joined, and ends badly.
-    joined = f"until (($(grep -c block {calls}) >= 2)) || ((++n > 300)); do sleep 0.1; done\n"
+    joined = f"until (($(grep -c '^ray.*block' {calls}) >= 2)) || ((++n > 300)); do sleep 0.1; done\n"
     program("shake", f'{joined}echo "shake $*" >> {calls}\nexit 3\n', at=shared / ".venv/bin")
     program(
         "srun",
@@ -103,12 +103,15 @@ def test_the_slurm_script_starts_a_cluster_runs_the_command_and_ends_it(program,
     )
     assert done.returncode == 3, done.stderr  # the command's
     lines = calls.read_text().splitlines()
-    assert lines[0] == "ray start --head --port=6379 --num-cpus=4"
-    assert lines[1].startswith("srun --nodes=2 --ntasks=2 --cpus-per-task=4 --exclude=node1 ")
-    assert lines[2:4] == ["ray start --address=node1:6379 --num-cpus=4 --block"] * 2
-    command = parse(shlex.split(lines[4])[1:])
+    assert lines[:2] == [
+        "ray get-auth-token --generate",
+        "ray start --head --port=6379 --num-cpus=4",
+    ]
+    assert lines[2].startswith("srun --nodes=2 --ntasks=2 --cpus-per-task=4 --exclude=node1 ")
+    assert lines[3:5] == ["ray start --address=node1:6379 --num-cpus=4 --block"] * 2
+    command = parse(shlex.split(lines[5])[1:])
     assert command.execution.ray_address == "node1:6379" and command.execution.worker_memory == 2.5
-    assert lines[5:] == ["ray stop"]
+    assert lines[6:] == ["ray stop"]
 
 
 @pytest.fixture
