@@ -90,8 +90,11 @@ def train_by(
     told = time.monotonic()
 
     def calls() -> Iterator[Call | None]:
-        while time.monotonic() < until and (free := trials.free()) is not False:
-            if not free or len(at_work) >= executor.places:
+        while time.monotonic() < until:
+            free = None if len(at_work) >= executor.places else trials.free()
+            if free is False:
+                return
+            if free is None:
                 yield None
                 continue
             one = _HandedTrial(trials.begin())

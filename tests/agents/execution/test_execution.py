@@ -1,11 +1,13 @@
 """Units of work: the same results by every engine, done once, however workers end."""
 
 import math
+import re
 import socket
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
+from pathlib import Path
 
 import cloudpickle
 import numpy as np
@@ -13,6 +15,7 @@ import pytest
 import unit_calls
 from unit_calls import allocates, dies, divides, noted, refuses, runs, says
 
+from agents import execution
 from agents.execution import executor as executor_module
 from agents.execution import ray_executor
 from agents.execution.encoding import decoded, encoded
@@ -276,3 +279,13 @@ def test_calls_are_taken_one_by_one_as_there_is_room():
             assert decoded(outcome.content) == 1 / (index + 1)
             assert len(begun) <= len(ended) + 1
     assert ended == begun == [0, 1, 2, 3]
+
+
+def test_nothing_but_the_options_knows_an_engine():
+    engine = re.compile(
+        r"^ *(from|import) (ray|submitit|agents\.execution\.\w+_executor)\b", re.MULTILINE
+    )
+    root = Path(execution.__file__).parents[1]
+    files = [file for file in root.rglob("*.py") if engine.search(file.read_text(encoding="utf-8"))]
+    own = {"options.py", "ray_executor.py", "submitit_executor.py"}
+    assert {file.name for file in files} == own and {file.parent.name for file in files} == {"execution"}

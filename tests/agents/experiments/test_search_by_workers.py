@@ -3,8 +3,12 @@
 import json
 import os
 import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -176,6 +180,54 @@ def test_workers_of_a_shared_study(whole, tmp_path):
     assert {row.state for row in trace.trials} == {"complete"}
     assert len({json.dumps(row.values) for row in trace.trials}) == TRIALS
     assert (tmp_path / SEARCH.name / "worker-0" / "0" / RESULT).exists()
+
+
+COMMAND = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from small_experiment import TINY, short_validation
+from agents.execution.options import ExecutionOptions
+from agents.experiments import signs_of_life
+from agents.experiments.search import search_training
+from agents.experiments.search_space import Search
+signs_of_life.HEARTBEAT, signs_of_life.GRACE = 1, 5
+folder, trials = Path(sys.argv[2]), int(sys.argv[3])
+if __name__ == "__main__":
+    execution = ExecutionOptions(processes=2, units=folder / "units")
+    with short_validation():
+        search_training(
+            Search(experiment=TINY, share=0.5, earthquakes=2), f"journal:{folder}/study.journal",
+            folder, trials=trials, open_workers=execution.open_workers,
+        )
+"""
+
+
+@pytest.mark.slow
+def test_two_commands_with_two_workers_each_share_a_search_and_one_is_killed(tmp_path):
+    (tmp_path / "command.py").write_text(COMMAND)
+    helpers, total = str(Path(__file__).parents[2] / "helpers"), 8
+    words = [sys.executable, str(tmp_path / "command.py"), helpers, str(tmp_path), str(total)]
+    first, second = (subprocess.Popen(words, stderr=subprocess.PIPE, text=True) for _ in range(2))
+    home, storage = tmp_path / SEARCH.name, f"journal:{tmp_path / 'study.journal'}"
+
+    def slots():
+        return {file.parent.parent.name for file in home.glob("worker-*/*/config.json")}
+
+    end = time.monotonic() + 240.0
+    while len(slots()) < 2 and time.monotonic() < end:  # both train
+        time.sleep(0.1)
+    first.kill()
+    first.communicate()
+    _, said = second.communicate(timeout=900)
+    assert second.returncode == 0, said
+    trials = open_study(SEARCH, storage).get_trials()
+    lost = [trial.params for trial in trials if trial.state.name == "FAIL"]
+    done = [trial.params for trial in trials if trial.state.name in ("COMPLETE", "PRUNED")]
+    assert total <= len(done) <= total + 1 and len(done) + len(lost) == len(trials)
+    assert 1 <= len(lost) <= 2  # of the killed command's
+    assert all(done.count(params) == 1 for params in lost)
+    assert len({json.dumps(params, sort_keys=True) for params in done}) == len(done)
 
 
 def test_the_command_takes_an_executor(tmp_path, monkeypatch, capsys):
