@@ -223,6 +223,8 @@ def storage_errors(storage: str | PathLike[str]) -> Iterator[None]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+            # Trials that are asked for have theirs from `signs_of_life`.
+            warnings.filterwarnings("ignore", "Heartbeat of storage", UserWarning)
             yield
     except Exception as error:
         cause: BaseException | None = error
