@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
@@ -13,11 +13,13 @@ from rich.progress import TextColumn
 
 from agents.cli.command_options import CommandOptions
 from agents.cli.output_path import require_storage, require_writable, require_writable_file
+from agents.execution.options import ExecutionOptions
 from agents.progress import display, progress_bar
 from shake_env.errors import ParameterError
 
 if TYPE_CHECKING:  # the rest of the command line starts without torch
-    from agents.experiments.search import Search, SearchProgress
+    from agents.experiments.search import SearchProgress
+    from agents.experiments.search_space import Search
     from agents.experiments.search_trace import Trace
 
 
@@ -27,7 +29,7 @@ class TuneTraining(CommandOptions):
 
     Try:
       shake tune-training linear/ppo --minutes 60
-      shake tune-training laboratory/apg --step-fraction 0.5 --trials 30
+      shake tune-training laboratory/apg --step-fraction 0.5 --trials 30 --processes 2
       shake tune-training linear/ppo --trials 0 --output docs/results/training_search_linear_ppo.json
       shake tune-training linear/ppo --trials 0 --page docs/training.md
     """
@@ -49,7 +51,10 @@ class TuneTraining(CommandOptions):
     several processes and machines work on: postgresql+pg8000://USER@HOST/NAME, grpc://HOST:PORT or
     journal:FILE."""
     folder: Path = Path("runs/tune-training")
-    """Where the trials' runs lie."""
+    """Where the trials' runs lie; machines of a cluster must share it."""
+    execution: Annotated[ExecutionOptions, tyro.conf.arg(name="")] = field(
+        default_factory=ExecutionOptions
+    )
     output: Path | None = None
     """JSON file for the trace, such as docs/results/training_search_linear_ppo.json."""
     page: Path | None = None
@@ -59,7 +64,8 @@ class TuneTraining(CommandOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Search with a progress bar, print what was found, keep it."""
-        from agents.experiments.search import Search, find_experiment
+        from agents.experiments.search import find_experiment
+        from agents.experiments.search_space import Search
         from agents.experiments.search_trace import write_trace
 
         if self.output is not None and self.output.suffix != ".json":
@@ -78,7 +84,7 @@ class TuneTraining(CommandOptions):
         try:
             trace = self._search(search)
         except KeyboardInterrupt:
-            display.note("the same command goes on with this trial")
+            display.note("the same command goes on with the trials that were at work")
             raise
         _print(trace, console)
         if self.output is not None:
@@ -93,24 +99,27 @@ class TuneTraining(CommandOptions):
 
         with progress_bar(TextColumn("{task.fields[note]}")) as progress:
             whole = progress.add_task(search.experiment.name, total=max(1, self.trials), note="")
-            one = progress.add_task("trial", total=1.0, note="")
+            bars: dict[int, Any] = {}  # of the trials at work
+            shares: dict[int, float] = {}
 
             def on_update(now: SearchProgress) -> None:
-                trial_progress = now.progress
-                share = trial_progress.steps / trial_progress.total_steps if trial_progress else 1.0
-                ratio = (
-                    ""
-                    if trial_progress is None or trial_progress.cost_ratio is None
-                    else f"{trial_progress.cost_ratio:.4f}"
-                )
+                number, at = now.trial, now.progress
                 note = f"{now.done} of {now.total} trials"
                 if now.best is not None:
                     note += f", best {now.best:.4f}"
                 if now.seconds_left is not None:
                     note += f", {math.ceil(now.seconds_left / 60.0)} min left"
-                done = now.done + (share if trial_progress else 0.0)
-                progress.update(whole, completed=done, note=note)
-                progress.update(one, completed=share, description=f"trial {now.trial}", note=ratio)
+                if at is None:
+                    shares.pop(number, None)
+                    if number in bars:
+                        progress.remove_task(bars.pop(number))
+                else:
+                    shares[number] = at.steps / at.total_steps
+                    if number not in bars:
+                        bars[number] = progress.add_task(f"trial {number}", total=1.0, note="")
+                    ratio = "" if at.cost_ratio is None else f"{at.cost_ratio:.4f}"
+                    progress.update(bars[number], completed=shares[number], note=ratio)
+                progress.update(whole, completed=now.done + sum(shares.values()), note=note)
 
             return search_training(
                 search,
@@ -119,6 +128,7 @@ class TuneTraining(CommandOptions):
                 trials=self.trials,
                 minutes=self.minutes,
                 on_update=on_update,
+                open_workers=self.execution.open_workers,
             )
 
     def _renew(self, page: Path, console: Console) -> None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
@@ -19,6 +20,7 @@ from shake_env.errors import ShakeError
 
 ATTEMPTS = 3  # workers that a call may lose before it counts as failed
 PERIOD = 0.25  # [s] between two looks at what runs
+_END = object()
 
 
 class Executor(ABC):
@@ -33,7 +35,7 @@ class Executor(ABC):
     """
 
     lost: tuple[type[BaseException], ...] = ()  # what a future raises whose worker is gone
-    where = "this process"
+    on_this_machine = False  # whether every worker is
 
     def __init__(self, workers: int, memory: float | None = None) -> None:
         self.workers, self.memory = workers, memory
@@ -51,9 +53,14 @@ class Executor(ABC):
         self.cancel()
 
     @property
+    def places(self) -> int:
+        """Number of submissions that can run at a time, now."""
+        return self.workers
+
+    @property
     def depth(self) -> int:
         """Number of submissions that are out at a time."""
-        return self.workers
+        return self.places
 
     def waiting(self) -> AbstractContextManager[Any]:
         """Return what surrounds the wait for results."""
@@ -65,7 +72,7 @@ class Executor(ABC):
 
     def results(
         self,
-        calls: Sequence[Call],
+        calls: Iterable[Call | None],
         *,
         group: int = 1,
         on_tick: Callable[[], None] = lambda: None,
@@ -76,25 +83,42 @@ class Executor(ABC):
         Parameters
         ----------
         calls
-            Handed out in this order. One whose worker is lost is tried again, `ATTEMPTS` times in all.
+            Handed out in this order, each taken when there is room for it. None stands for nothing at
+            present: the next is asked for when a call has ended, or after a quarter of a second. One
+            whose worker is lost is tried again, `ATTEMPTS` times in all.
         group
             Calls of a submission.
         on_tick, on_submit
             Told every quarter of a second; and of each call when it is handed out.
         """
         conditions = Conditions(environment(), os.getcwd(), self.memory)
-        waiting = deque(
-            (list(range(i, min(i + group, len(calls)))), 1) for i in range(0, len(calls), group)
-        )
+        source, taken, more = iter(calls), list[Call](), True
+
+        def next_group() -> list[int]:
+            nonlocal more
+            first = len(taken)
+            while more and len(taken) < first + group:
+                call = next(source, _END)
+                more = call is not _END
+                if not isinstance(call, Call):
+                    break
+                taken.append(call)
+            return [*range(first, len(taken))]
+
+        lost = deque[tuple[list[int], int]]()
         running: dict[Future[list[Outcome]], tuple[list[int], int]] = {}
         try:
-            while waiting or running:
-                while waiting and len(running) < self.depth:
-                    members, attempt = waiting.popleft()
+            while more or lost or running:
+                while len(running) < self.depth:
+                    members, attempt = lost.popleft() if lost else (next_group(), 1)
+                    if not members:
+                        break
                     for index in members:
                         on_submit(index)
-                    future = self.submit(pack_calls([calls[i] for i in members], conditions))
+                    future = self.submit(pack_calls([taken[i] for i in members], conditions))
                     running[future] = members, attempt
+                if more and not running:
+                    time.sleep(PERIOD)
                 with self.waiting():
                     done, _ = wait(running, timeout=PERIOD, return_when=FIRST_COMPLETED)
                 for future in done:
@@ -103,13 +127,13 @@ class Executor(ABC):
                         outcomes = future.result()
                     except self.lost as error:
                         if attempt < ATTEMPTS:
-                            display.note(f"{calls[members[0]].name}: its worker was lost, tried again")
-                            waiting.appendleft((members, attempt + 1))
+                            display.note(f"{taken[members[0]].name}: its worker was lost, tried again")
+                            lost.appendleft((members, attempt + 1))
                             continue
-                        outcomes = [_lost(calls[i], error) for i in members]
+                        outcomes = [_failed(taken[i], error) for i in members]
                     for index, outcome in zip(members, outcomes, strict=True):
                         for line in outcome.log.splitlines():
-                            display.note(f"{calls[index].name}: {line}")
+                            display.note(f"{taken[index].name}: {line}")
                         yield index, replace(outcome, log="")
                 on_tick()
         finally:
@@ -125,7 +149,7 @@ class Executor(ABC):
         self.shutdown()
 
 
-def _lost(call: Call, error: BaseException) -> Outcome:
+def _failed(call: Call, error: BaseException) -> Outcome:
     reason = (str(error) or type(error).__name__).strip().splitlines()[0]
     remedy = f"its worker was lost {ATTEMPTS} times, perhaps for lack of memory ({reason})"
     failure: ShakeError = WorkerError("unit", call.name, remedy)

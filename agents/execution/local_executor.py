@@ -17,7 +17,7 @@ class LocalExecutor(Executor):
     """Worker processes, each a pool of its own, so that a lost one takes no other with it."""
 
     lost = (BrokenExecutor,)
-    where = "this machine"
+    on_this_machine = True
 
     def __init__(self, workers: int, memory: float | None = None) -> None:
         super().__init__(workers, memory)

@@ -17,7 +17,7 @@ from agents.run_directory import cache_folder
 from shake_env.errors import ParameterError
 from shake_env.files import file_errors
 
-MOST_MEMORY = 1e5  # [GiB] of a worker
+MEMORY, MOST_MEMORY = 4.0, 1e5  # [GiB] of a worker: usual, and what is no mistake
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +39,9 @@ class ExecutionOptions:
     """Ray cluster: auto, HOST:6379 or ray://HOST:10001 (unset: one is started on this machine)."""
     slurm: tuple[str, ...] = ()
     """Parameters of the jobs as submitit has them, KEY=VALUE: slurm_partition=cpu timeout_min=240."""
-    worker_memory: float = 4.0
-    """Memory of a worker [GiB]: what Ray or Slurm reserves, and the bound of its allocations."""
+    worker_memory: float | None = None
+    """Memory of a worker [GiB]: what Ray or Slurm reserves, and the bound of its allocations (unset: 4;
+    none where this process does the work itself). Given, one process is a worker, too."""
     units: Path | None = None
     """Folder of the parts that are done, until all is: the same command goes on from them, with any
     executor (unset: `units` in the user's cache, SHAKE_ENV_CACHE or ~/.cache/shake-env)."""
@@ -48,13 +49,17 @@ class ExecutionOptions:
     def __post_init__(self) -> None:
         if self.processes is not None and self.processes < 1:
             raise ParameterError("processes", self.processes, "must be at least 1")
-        if not 0.0 < self.worker_memory <= MOST_MEMORY:
+        if self.worker_memory is not None and not 0.0 < self.worker_memory <= MOST_MEMORY:
             remedy = f"must be above 0, at most {MOST_MEMORY:g} GiB"
             raise ParameterError("worker-memory", self.worker_memory, remedy)
         for option, engine in (("ray_address", "ray"), ("slurm", "submitit")):
             if getattr(self, option) and self.executor != engine:
                 name = option.replace("_", "-")
                 raise ParameterError(name, getattr(self, option), f"goes with --executor {engine}")
+        if self.executor == "submitit":
+            from agents.execution.submitit_executor import require_parameters
+
+            require_parameters(self.slurm)
 
     @property
     def folder(self) -> Path:
@@ -72,7 +77,8 @@ class ExecutionOptions:
         """
         with file_errors(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
-        number, memory = self.processes or usual, self.worker_memory
+        number = self.processes or usual
+        memory = MEMORY if self.worker_memory is None else self.worker_memory
         executor: Executor
         if self.executor == "local":
             from agents.execution.local_executor import LocalExecutor
@@ -95,21 +101,31 @@ class ExecutionOptions:
             yield executor
 
     @contextmanager
-    def open_runner(self, usual: int = 1) -> Iterator[UnitRunner]:
-        """Give what runs the units of a command; when the command has ended, their results go.
+    def open_workers(self, usual: int = 1) -> Iterator[Executor | None]:
+        """Give the executor, and end it; None: this process does the work itself.
 
-        `usual` is the number of local workers where none is given; one is this process.
+        `usual` is the number of local workers where none is given; one is this process, unless its
+        memory is to be bounded.
 
         Raises
         ------
         ShakeError
             As `open_executor`.
         """
-        if self.executor == "local" and (self.processes or usual) == 1:
-            runner = UnitRunner(None, self.folder)
+        number = self.processes or usual
+        if self.executor == "local" and number == 1 and self.worker_memory is None:
+            yield None
+            return
+        with self.open_executor(number if self.executor == "local" else max(2, usual)) as executor:
+            yield executor
+
+    @contextmanager
+    def open_runner(self, usual: int = 1) -> Iterator[UnitRunner]:
+        """Give what runs the units of a command; when the command has ended, their results go.
+
+        `usual` and what is raised are those of `open_workers`.
+        """
+        with self.open_workers(usual) as executor:
+            runner = UnitRunner(executor, self.folder)
             yield runner
-        else:
-            with self.open_executor(max(2, usual)) as executor:
-                runner = UnitRunner(executor, self.folder)
-                yield runner
         runner.forget()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import socket
 import sys
 import time
 import weakref
@@ -17,6 +18,18 @@ from shake_env.errors import ParameterError, ShakeError, install_hint
 OBJECT_STORE = 200 * 2**20  # [byte] of a cluster that is started here; what travels is small
 AHEAD = 2  # submissions for each worker, so that none waits for the next, and a cluster can grow
 REFRESH = 2.0  # [s] between two looks at the size of a cluster
+ANSWER = 10.0  # [s] in which a cluster answers; Ray itself would ask for minutes
+BEGIN = (
+    "begin one with ray start --head, correct the address, or leave the option out for a cluster of "
+    "this machine alone"
+)
+MISFIT = (
+    "is it Ray, of the same version? A cluster with a token needs RAY_AUTH_MODE=token here as well, and "
+    "the same token"
+)
+START = "end what else uses this machine, or try again"
+# What opens HTTP/2, which gRPC and so Ray speaks: the words of RFC 9113, 3.4, and no setting (6.5).
+_HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
 
 
 class RayExecutor(Executor):
@@ -45,14 +58,16 @@ class RayExecutor(Executor):
         except ImportError:
             raise ShakeError("ray", "missing", install_hint("ray")) from None
         self._ray = ray
-        self.where = f"Ray at {address}" if address else "Ray on this machine"
+        if address is not None and (found := _found(address)) is not None:
+            require_answer(found)
+        self.on_this_machine = address is None
         options: dict[str, Any] = {"address": address} if address else _own_cluster(workers or 2)
         threads = {"env_vars": dict.fromkeys(THREAD_VARIABLES, "1")}
         try:
             ray.init(logging_level="ERROR", log_to_driver=False, runtime_env=threads, **options)
         except Exception as error:  # Ray raises that itself where a cluster does not start in time
             reason = (str(error) or type(error).__name__).strip().splitlines()[0]
-            remedy = f"cannot be used ({reason}): is there a cluster, or time to start one?"
+            remedy = f"cannot be used ({reason}): {MISFIT if address else START}"
             raise ParameterError("ray-address", address, remedy) from error
         errors = ray.exceptions
         self.lost = (
@@ -83,9 +98,14 @@ class RayExecutor(Executor):
         return self._room
 
     @property
+    def places(self) -> int:
+        """Number of submissions that can run at a time, now."""
+        return self._asked or max(1, self.room())
+
+    @property
     def depth(self) -> int:
         """Number of submissions that are out at a time."""
-        return self._asked or AHEAD * max(1, self.room())
+        return self._asked or AHEAD * self.places
 
     def submit(self, content: bytes) -> Future[list[Outcome]]:
         """Submit a task."""
@@ -108,6 +128,42 @@ class RayExecutor(Executor):
     def shutdown(self) -> None:
         """Leave the cluster, which ends this command's tasks; end one that was started here."""
         self._ray.shutdown()
+
+
+def require_answer(address: str) -> None:
+    """Raise `ParameterError` unless a server of gRPC answers at HOST:PORT or ray://HOST:PORT in time."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not host or not port.isdecimal():
+        raise ParameterError("ray-address", address, "must be auto, HOST:6379 or ray://HOST:10001")
+    try:
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER) as connection:
+            connection.settimeout(ANSWER)
+            connection.sendall(_HELLO)
+            answer = connection.recv(9)  # the header of a frame: the server's settings
+            if len(answer) < 4 or answer[3] != 4:
+                raise ConnectionError("another program")
+    except (OSError, OverflowError) as error:
+        late = f"no answer in {ANSWER:g} s"
+        reason = late if isinstance(error, TimeoutError) else getattr(error, "strerror", None) or error
+        raise ParameterError(
+            "ray-address", address, f"no cluster is there ({reason}): {BEGIN}"
+        ) from error
+
+
+def _found(address: str) -> str | None:
+    """Return the address that ``auto`` stands for, as far as Ray says it."""
+    if address != "auto":
+        return address
+    try:
+        from ray._private.services import canonicalize_bootstrap_address
+
+        found: str | None = canonicalize_bootstrap_address(address)
+    except ImportError:  # no part of Ray's interface: another version may not have it
+        return None
+    except ConnectionError as error:
+        remedy = f"no cluster is on this machine: {BEGIN}"
+        raise ParameterError("ray-address", address, remedy) from error
+    return found
 
 
 def _own_cluster(workers: int) -> dict[str, Any]:

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
+import tempfile
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager, nullcontext
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -41,8 +47,6 @@ class SubmititExecutor(Executor):
         If a parameter is unknown.
     """
 
-    where = "Slurm"
-
     def __init__(
         self, workers: int, folder: Path, memory: float = 4.0, parameters: tuple[str, ...] = ()
     ) -> None:
@@ -52,17 +56,8 @@ class SubmititExecutor(Executor):
             raise ShakeError("submitit", "missing", install_hint("slurm")) from None
         super().__init__(workers, memory)
         self.lost = (submitit.core.utils.UncompletedJobError,)
-        self._engine = submitit.AutoExecutor(folder=folder)
-        given = dict(_parameter(text) for text in parameters)
-        threads = [f"export {name}=1" for name in THREAD_VARIABLES]
-        usual = {"name": "shake", "timeout_min": MINUTES, "cpus_per_task": 1, "mem_gb": memory}
-        if self._engine.cluster == "slurm":
-            usual["slurm_setup"] = threads
-        try:
-            self._engine.update_parameters(**{**usual, **given})
-        except (NameError, TypeError, ValueError) as error:
-            reason = str(error).strip().splitlines()[0]
-            raise ParameterError("slurm", parameters, f"is not understood ({reason})") from error
+        self._engine = _engine(folder, memory, parameters)
+        self._folder = folder
         self._jobs: dict[Future[list[Outcome]], Any] = {}
         self._lock, self._over = threading.Lock(), threading.Event()
         self._thread = threading.Thread(target=self._poll, name="shake-jobs", daemon=True)
@@ -75,7 +70,10 @@ class SubmititExecutor(Executor):
     def submit(self, content: bytes) -> Future[list[Outcome]]:
         """Submit a job."""
         future: Future[list[Outcome]] = Future()
-        job = self._engine.submit(perform_calls, content)
+        # What watches a job on this machine ends with a traceback when it is interrupted.
+        local = self._engine.cluster == "local"
+        with _errors_into(self._folder / "local.log") if local else nullcontext():
+            job = self._engine.submit(perform_calls, content)
         with self._lock:
             self._jobs[future] = job
         return future
@@ -110,6 +108,48 @@ class SubmititExecutor(Executor):
                     future.set_result(job.result())
                 except BaseException as error:  # whatever submitit raises is for who waits
                     future.set_exception(error)
+
+
+def require_parameters(parameters: tuple[str, ...]) -> None:
+    """Raise `ParameterError` if one is not understood, as far as that can be told without submitit."""
+    if find_spec("submitit") is None:
+        for text in parameters:
+            _parameter(text)
+        return
+    with tempfile.TemporaryDirectory() as name:
+        _engine(Path(name), 1.0, parameters)
+
+
+def _engine(folder: Path, memory: float, parameters: tuple[str, ...]) -> Any:
+    """Return submitit's executor with the usual parameters and those that are given."""
+    import submitit
+
+    given = dict(_parameter(text) for text in parameters)
+    engine = submitit.AutoExecutor(folder=folder)
+    usual = {"name": "shake", "timeout_min": MINUTES, "cpus_per_task": 1, "mem_gb": memory}
+    if engine.cluster == "slurm":
+        usual["slurm_setup"] = [f"export {name}=1" for name in THREAD_VARIABLES]
+    try:
+        engine.update_parameters(**{**usual, **given})
+    except (NameError, TypeError, ValueError, AssertionError) as error:  # the last for a wrong type
+        reason = str(error).strip().splitlines()[0]
+        raise ParameterError("slurm", parameters, f"is not understood ({reason})") from error
+    return engine
+
+
+@contextmanager
+def _errors_into(file: Path) -> Iterator[None]:
+    """Let processes that begin meanwhile have a file as standard error."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        log = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+        os.dup2(log, 2)
+        os.close(log)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
 
 
 def _parameter(text: str) -> tuple[str, Any]:

@@ -95,6 +95,11 @@ class UnitRunner:
         self.executor, self.folder = executor, folder
         self._used: set[Path] = set()
 
+    @property
+    def on_this_machine(self) -> bool:
+        """Whether every unit runs on this machine."""
+        return self.executor is None or self.executor.on_this_machine
+
     def run(
         self, units: Sequence[Unit], on_share: Callable[[int, float], None] = lambda index, share: None
     ) -> list[Any]:

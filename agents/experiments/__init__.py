@@ -17,11 +17,11 @@ __getattr__, __all__ = names_of(
             "plan_rows",
         ),
         "search": (
-            "Search",
             "SearchProgress",
             "find_experiment",
             "search_training",
         ),
+        "search_space": ("Search",),
         "search_trace": (
             "Trace",
             "put_searches",

@@ -20,6 +20,7 @@ import numpy as np
 
 import shake_env
 from agents.execution.units import Unit, UnitRunner, report
+from agents.experiments.signs_of_life import pulse
 from agents.experiments.study_storage import (
     is_shared,
     may_begin,
@@ -161,11 +162,24 @@ def tune_each(
 ) -> dict[str, TuningResult | str]:
     """Tune several controllers, each a unit; see `tune`.
 
+    In an SQLite file workers have a study each, and wait for one another when they write.
+
     Returns
     -------
     A result for each, or why the controller was left out.
+
+    Raises
+    ------
+    ParameterError
+        If the storage is a file and workers may be on other machines, or it cannot be used.
     """
     options = (str(storage), budget, earthquakes, seed)
+    if not is_shared(storage) and not runner.on_this_machine:
+        remedy = (
+            "is a file of this machine, and workers may be on others: give a URL, such as "
+            "journal:FILE on a file system that they share"
+        )
+        raise ParameterError("storage", str(storage), remedy)
     units = [Unit(name, _tuned, (name, scenario, tuned, *options)) for name in names]
     tunings = runner.run(units, lambda index, share: on_progress(names[index], share))
     return {
@@ -338,9 +352,14 @@ def _share_study(
     on_trial: Callable[[int, int, float], None],
 ) -> None:
     """Work on a study beside other processes until it has `total` trials."""
+
+    def with_sign(trial: Any) -> float:
+        with pulse(study, trial):
+            return objective(trial)
+
     study.sampler = shared_sampler(seed, _finished(study))
     while may_begin(study, total, lambda: _finished(study)):
-        study.optimize(objective, n_trials=1)
+        study.optimize(with_sign, n_trials=1)
         on_trial(_finished(study), total, study.best_value)
 
 

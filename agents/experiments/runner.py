@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
@@ -13,15 +14,13 @@ from agents.execution.environment import folder_token
 from agents.execution.executor import Executor
 from agents.execution.worker import Call, Outcome
 from agents.experiments.catalogue import ExperimentConfig
+from agents.experiments.run_watch import RunWatch, log_of
 from agents.experiments.worker import train_run
-from agents.plain_values import typed
-from agents.progress import Progress, display
-from agents.run_directory import CONFIG, PROGRESS, read_json
+from agents.run_directory import CONFIG
 from agents.training.checkpoint import checkpoint_steps, checkpoints
 from agents.training.config import TrainConfig, require_same
 from agents.training.run import is_finished, require_beginnable
 from shake_env.errors import RunDirectoryError, ScenarioError, unknown
-from shake_env.files import file_errors
 
 State = Literal["done", "begun", "waiting", "running", "failed", "foreign"]
 
@@ -39,7 +38,6 @@ class Task:
     seconds: float = 0.0  # since then
     cost_ratio: float | None = None
     failure: str = ""
-    _log_shown: int = 0  # [byte]
 
     @property
     def name(self) -> str:
@@ -62,10 +60,14 @@ class Task:
             self.state = "begun"
             self.share = checkpoint_steps(saved[-1]) / self.config.steps
 
-    @property
-    def log(self) -> Path:
-        """File of what the run prints."""
-        return self.run.with_name(self.run.name + ".log")
+    @cached_property
+    def _watch(self) -> RunWatch:
+        return RunWatch(self.name, self.run)
+
+    def begin(self) -> None:
+        """Forget what the worker before has said of the run."""
+        self.first_share = self.share
+        self._watch.begin()
 
     def call(self) -> Call:
         """Return what a worker does for the run; it must see the folder."""
@@ -75,28 +77,19 @@ class Task:
             self.name,
             train_run,
             (str(self.run), self.config.to_json(), command),
-            log=self.log,
+            log=log_of(self.run),
             folder=(folder, folder_token(folder)),
             needs_folder=True,
         )
 
     def watch(self) -> None:
         """Read what the worker says of the run: its progress, and new lines of its log."""
-        if not self.log.exists():  # no worker has begun it
+        if not self._watch.begun:
             return
         self.state = "running"
-        with file_errors(self.log), self.log.open("rb") as file:
-            file.seek(self._log_shown)
-            text = file.read().rpartition(b"\n")[0]
-        self._log_shown += len(text) + bool(text)
-        for line in text.decode(errors="replace").splitlines():
-            display.note(f"{self.name}: {line}")
-        try:
-            progress = typed(Progress, read_json(self.run / PROGRESS, largest=2**20))
-        except ValueError:  # there is none yet
-            return
-        self.share = min(progress.steps / max(progress.total_steps, 1), 1.0)
-        self.seconds, self.cost_ratio = progress.seconds, progress.cost_ratio
+        if (progress := self._watch.look()) is not None:
+            self.share = min(progress.steps / max(progress.total_steps, 1), 1.0)
+            self.seconds, self.cost_ratio = progress.seconds, progress.cost_ratio
 
     def finish(self, outcome: Outcome) -> None:
         """Take in what came of the run."""
@@ -148,11 +141,8 @@ class Campaign:
         out: set[int] = set()
 
         def on_submit(index: int) -> None:
-            tasks[index].first_share = tasks[index].share
+            tasks[index].begin()
             out.add(index)
-            for file in (tasks[index].run / PROGRESS, tasks[index].log):  # those of the process before
-                with file_errors(file):
-                    file.unlink(missing_ok=True)
 
         def on_tick() -> None:
             for index in out:

@@ -2,97 +2,43 @@
 
 Optuna's tree-structured Parzen estimator (Bergstra et al., 2011) draws the values, and its median pruner
 ends a run whose own evaluations stand behind half of those before it. Everything lies in SQLite: a
-search that was interrupted, or killed, resumes the interrupted trial from its run's checkpoint. The
-sampler is seeded by the number of trials done, so that what it draws does not depend on where a search
+search that was interrupted, or killed, resumes the interrupted trials from their runs' checkpoints. The
+sampler is seeded by the number of trials before, so that what it draws does not depend on where a search
 was cut.
 """
 
 from __future__ import annotations
 
-import json
 import math
-import socket
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import shake_env
+from agents.execution.executor import Executor
 from agents.experiments import catalogue, study_storage
 from agents.experiments.catalogue import ExperimentConfig
-from agents.experiments.controller_tuning import FAILED
-from agents.experiments.search_objective import (
-    OutOfTimeError,
-    PrunedError,
-    PruningCallback,
-    ValidationSet,
-)
+from agents.experiments.search_objective import ValidationSet
 from agents.experiments.search_space import (
     TRAIN_SEED,
+    Search,
     own_values,
     search_space,
-    search_space_json,
     trial_config,
 )
 from agents.experiments.search_trace import Trace, TrialRow
-from agents.policies.policy_file import load_policy
+from agents.experiments.search_trials import SearchTrials, done
+from agents.experiments.search_work import train_by, train_here
 from agents.progress import Progress
-from agents.provenance import code_version, machine
-from agents.run_directory import POLICY, locked_folder
+from agents.provenance import machine
 from agents.seeds import VALIDATION_SEED
-from agents.training.checkpoint import delete_checkpoints
-from agents.training.config import config_of
-from agents.training.run import train_or_resume
-from shake_env.errors import ParameterError, PolicyFileError, RunDirectoryError, ScenarioError, unknown
+from shake_env.errors import ParameterError, ScenarioError, unknown
 
 UNJUDGED = 5  # trials that no pruner ends: a median of fewer says little
-
-
-@dataclass(frozen=True, kw_only=True)
-class Search:
-    """What decides a search.
-
-    Raises
-    ------
-    ParameterError
-        If a number is outside its range.
-    """
-
-    experiment: ExperimentConfig
-    share: float = 0.3
-    """Share of the experiment's steps that a trial trains for."""
-    seed: int = 0
-    """Of what is drawn."""
-    earthquakes: int = 64
-    """Validation earthquakes that a trial is judged on."""
-
-    def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise ParameterError("seed", self.seed, "must be at least 0")
-        if self.earthquakes < 1:
-            raise ParameterError("earthquakes", self.earthquakes, "must be at least 1")
-        trial_config(self.experiment, {}, self.share)
-
-    @property
-    def name(self) -> str:
-        """Name of the study, and of the folder of its runs."""
-        return f"{self.experiment.name}/share{self.share:g}-seed{self.seed}-tests{self.earthquakes}"
-
-    def identity(self) -> str:
-        """Return everything that decides a trial, so that no search mixes two kinds of them."""
-        config = trial_config(self.experiment, {}, self.share).to_json()
-        return json.dumps([config, search_space_json(search_space(self.experiment))])
-
-    def same(self, identity: str) -> bool:
-        """Return whether that is this search's; options that it does not know have their defaults."""
-        try:
-            (one, space_one), (two, space_two) = json.loads(identity), json.loads(self.identity())
-            return space_one == space_two and config_of(one) == config_of(two)
-        except ValueError:  # a configuration of another version
-            return False
 
 
 @dataclass(frozen=True)
@@ -101,8 +47,8 @@ class SearchProgress:
 
     done: int
     total: int
-    trial: int  # number of the one that runs, or ran last
-    progress: Progress | None  # of its training
+    trial: int  # number of one that runs, or ended now
+    progress: Progress | None  # of its training; None: it ended
     best: float | None  # cost over the reference's
     seconds_left: float | None  # wall time, as far as it can be told
 
@@ -151,33 +97,6 @@ def _opened(search: Search, storage: str | PathLike[str]) -> tuple[Any, bool]:
     return study, made
 
 
-def _with_states(study: Any, *states: str) -> list[Any]:
-    return [trial for trial in study.get_trials(deepcopy=False) if trial.state.name in states]
-
-
-def _done(study: Any) -> list[Any]:
-    return _with_states(study, "COMPLETE", "PRUNED")
-
-
-def _queue(study: Any, search: Search, new: bool, worker: str) -> None:
-    """Queue the experiment itself, if it is new, and the trial that was cut, with its run.
-
-    A worker's own trials alone were cut: it holds its folder, and others may work on the study.
-    """
-    import optuna
-
-    if new:
-        own = own_values(search.experiment)
-        start = {knob.name: own[knob.name] for knob in search_space(search.experiment)}
-        study.enqueue_trial(start, user_attrs={"default": True})
-    for cut in _with_states(study, "RUNNING"):
-        if cut.user_attrs.get("worker", "") != worker:
-            continue
-        # Given up under its number, which counts for nothing, and queued under the next.
-        study.tell(cut.number, state=optuna.trial.TrialState.FAIL)
-        study.enqueue_trial(cut.params, user_attrs={"run": str(cut.number), **cut.user_attrs})
-
-
 def search_training(
     search: Search,
     storage: str | PathLike[str],
@@ -186,6 +105,7 @@ def search_training(
     trials: int = 40,
     minutes: float | None = None,
     on_update: Callable[[SearchProgress], None] = lambda standing: None,
+    open_workers: Callable[[], AbstractContextManager[Executor | None]] = nullcontext,
 ) -> Trace:
     """Search training configurations of an experiment for the least cost, or go on with that search.
 
@@ -201,9 +121,12 @@ def search_training(
     trials
         In all, those of an earlier process counted; 0 returns what there is.
     minutes
-        Wall time of this process; the trial that it ends in goes on another time. None: no bound.
+        Wall time of this process; the trials that it ends in go on another time. None: no bound.
     on_update
         Told where the search stands, at most every half second and after each trial.
+    open_workers
+        Gives the executor whose workers have a trial each, called if there is one to do; None: this
+        process does them, one after another. See `search_work` for what the number of workers changes.
 
     Raises
     ------
@@ -219,150 +142,54 @@ def search_training(
         raise ParameterError("minutes", minutes, "must be above 0")
     until = math.inf if minutes is None else time.monotonic() + 60.0 * minutes
     with study_storage.storage_errors(storage):
-        return _searched(search, storage, folder / search.name, trials, until, on_update)
+        study, made = _opened(search, storage)
+        if len(done(study)) >= trials:
+            return trace_of(search, study)
+        home, shared = folder / search.name, study_storage.is_shared(storage)
+        begun = SearchTrials(search, study, made, home, trials, shared)
+        with begun, open_workers() as executor:
+            validation = ValidationSet(search.experiment, search.earthquakes)
+            study.set_user_attr("reference", validation.reference)
+            study.set_user_attr("reference_lost", validation.reference_lost)
+            workers = 1 if executor is None else executor.workers
 
+            def tell(progresses: Mapping[int, Progress | None]) -> None:
+                now = _standing(study, trials, until, workers, progresses)
+                for number, progress in progresses.items():
+                    on_update(replace(now, trial=number, progress=progress))
 
-def _searched(
-    search: Search,
-    storage: str | PathLike[str],
-    home: Path,
-    trials: int,
-    until: float,
-    on_update: Callable[[SearchProgress], None],
-) -> Trace:
-    study, made = _opened(search, storage)
-    if len(_done(study)) >= trials:
+            options = f"--step-fraction {search.share:g} --seed {search.seed}"
+            command = f"shake tune-training {search.experiment.name} {options}"
+            if executor is None:
+                train_here(begun, validation, command, until, tell)
+            else:
+                train_by(executor, begun, validation, command, until, tell)
         return trace_of(search, study)
-    shared = study_storage.is_shared(storage)
-    with ExitStack() as held:
-        slot = ""
-        if shared:
-            slot = study_storage.free_slot(home, held)
-        else:
-            held.enter_context(locked_folder(home))
-            made = not _with_states(study, "COMPLETE", "PRUNED", "RUNNING", "WAITING")
-        worker = f"{socket.gethostname()}:{home.resolve()}/{slot}" if shared else ""
-        validation = ValidationSet(search.experiment, search.earthquakes)
-        study.set_user_attr("reference", validation.reference)
-        study.set_user_attr("reference_lost", validation.reference_lost)
-        _queue(study, search, made, worker)
-
-        def lacks_one() -> bool:
-            if shared:
-                return study_storage.may_begin(study, trials, lambda: len(_done(study)))
-            return len(_done(study)) < trials
-
-        while time.monotonic() < until and lacks_one():
-
-            def tell(number: int, progress: Progress | None) -> None:
-                on_update(_standing(study, trials, until, number, progress))
-
-            try:
-                _trial(study, search, validation, home, until, tell, slot, worker)
-            except OutOfTimeError:
-                break
-    return trace_of(search, study)
-
-
-def _trial(
-    study: Any,
-    search: Search,
-    validation: ValidationSet,
-    home: Path,
-    until: float,
-    tell: Callable[[int, Progress | None], None],
-    slot: str,
-    worker: str,
-) -> None:
-    import optuna
-
-    if worker:
-        study.sampler = study_storage.shared_sampler(search.seed, len(_done(study)))
-    else:
-        seed = search.seed + 1000 * len(_done(study))
-        study.sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True)
-    trial = study.ask()
-    if worker:
-        trial.set_user_attr("worker", worker)
-        trial.set_user_attr("run", trial.user_attrs.get("run", f"{slot}/{trial.number}"))
-    with study_storage.sign_of_life(study, trial):
-        _judged(study, trial, search, validation, home, until, tell)
-
-
-def _judged(
-    study: Any,
-    trial: Any,
-    search: Search,
-    validation: ValidationSet,
-    home: Path,
-    until: float,
-    tell: Callable[[int, Progress | None], None],
-) -> None:
-    import optuna
-
-    values = {knob.name: knob.suggest(trial) for knob in search_space(search.experiment)}
-    config = trial_config(search.experiment, values, search.share)
-    run = home / trial.user_attrs.get("run", str(trial.number))
-    before, began = trial.user_attrs.get("seconds", 0.0), time.process_time()
-    trial.set_user_attr("code", code_version())
-    judge = PruningCallback(trial, config, run, until)
-
-    def report(progress: Progress) -> None:
-        trial.set_user_attr("seconds", before + time.process_time() - began)
-        judge(progress)
-        tell(trial.number, progress)
-
-    try:
-        options = f"--step-fraction {search.share:g} --seed {search.seed}"
-        command = f"shake tune-training {search.experiment.name} {options}"
-        train_or_resume(config, run, report=report, command=command)
-        judge.report()
-        outcome = validation.judge(load_policy(run / POLICY))
-    except PrunedError:
-        outcome = None
-    except (ParameterError, ScenarioError, RunDirectoryError):
-        raise  # a mistake in what was asked, no property of the values
-    # A network or a design that came to no numbers.
-    except (PolicyFileError, ValueError, ArithmeticError) as error:
-        if trial.user_attrs.get("default"):
-            raise  # nor is this
-        reason = (str(error) or "no reason told").splitlines()[0]
-        outcome = {"cost": FAILED, "failure": f"{type(error).__name__}: {reason}"}
-    trial.set_user_attr("seconds", before + time.process_time() - began)
-    trial.set_user_attr("ratio", judge.best if math.isfinite(judge.best) else None)
-    for key, value in (outcome or {}).items():
-        trial.set_user_attr(key, value)
-    if outcome is None:
-        study.tell(trial, state=optuna.trial.TrialState.PRUNED)
-    else:
-        study.tell(trial, outcome["cost"])
-    # What is done is not gone on with, and a replay buffer is large.
-    delete_checkpoints(run)
-    tell(trial.number, None)
 
 
 def _standing(
-    study: Any, total: int, until: float, number: int, progress: Progress | None
+    study: Any, total: int, until: float, workers: int, progresses: Mapping[int, Progress | None]
 ) -> SearchProgress:
-    done = _done(study)
-    costs = [t.value for t in done if t.state.name == "COMPLETE"]
-    times = [t.duration.total_seconds() for t in done]
-    share = progress.steps / progress.total_steps if progress else 0.0
+    over = done(study)
+    costs = [t.value for t in over if t.state.name == "COMPLETE"]
+    times = [t.duration.total_seconds() for t in over]
+    at_work = [p for p in progresses.values() if p is not None]
+    shares = sum(p.steps / p.total_steps for p in at_work)
     left = None
     if times:
-        left = max(0.0, sum(times) / len(times) * (total - len(done) - share))
-    elif progress and share > 0.05:
-        left = progress.seconds / share * (total - share)
+        left = max(0.0, sum(times) / len(times) * (total - len(over) - shares) / workers)
+    elif shares > 0.05:
+        left = sum(p.seconds for p in at_work) / shares * (total - shares) / workers
     if math.isfinite(until):
         left = min(math.inf if left is None else left, max(0.0, until - time.monotonic()))
-    return SearchProgress(len(done), total, number, progress, min(costs, default=None), left)
+    return SearchProgress(len(over), total, -1, None, min(costs, default=None), left)
 
 
 def trace_of(search: Search, study: Any) -> Trace:
     """Return the trace of a training search as far as it is done."""
     knobs, own = search_space(search.experiment), own_values(search.experiment)
     rows = []
-    for trial in _done(study):
+    for trial in done(study):
         attributes = trial.user_attrs
         failed = "failure" in attributes
         state = "pruned" if trial.state.name == "PRUNED" else "failed" if failed else "complete"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import numpy as np
 from agents.evaluation.statistics import cost_ratio
 from agents.experiments.catalogue import EVALUATION_TASKS, ExperimentConfig
 from agents.experiments.controller_tuning import FAILED
-from agents.progress import Progress
 from agents.run_directory import evaluations_of_run
 from agents.seeds import VALIDATION_SEED
 from agents.training.config import TrainConfig
@@ -57,24 +55,18 @@ class ValidationSet:
 
 
 class PruningCallback:
-    """Reports a run's evaluations to Optuna, and ends the run if it is pruned.
+    """Reports a run's evaluations to Optuna, and says when the run is to end.
 
     The reported value is the best so far, for that is the policy that a run keeps.
     """
 
-    def __init__(self, trial: Any, config: TrainConfig, run: Path, until: float = math.inf) -> None:
-        self.trial, self.config, self.run, self.until = trial, config, run, until
+    def __init__(self, trial: Any, config: TrainConfig, run: Path) -> None:
+        self.trial, self.config, self.run = trial, config, run
         self.best = math.inf
         self._told: set[int] = set()
 
-    def __call__(self, progress: Progress) -> None:
-        """Report what is new; raise if the run is to end before its steps are done."""
-        self.report()
-        if progress.steps < progress.total_steps and time.monotonic() > self.until:
-            raise OutOfTimeError
-
     def report(self) -> None:
-        """Report the evaluations that are not reported yet.
+        """Report the evaluations that are not reported yet; raise PrunedError if the run is to end.
 
         Each is judged in its turn, those that a fast run made since the last report too, so that whether
         a trial is ended does not go by the clock.

@@ -7,6 +7,7 @@ that begins from nothing still does, and none is given a law that is the optimum
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -18,7 +19,7 @@ from agents.experiments.catalogue import ExperimentConfig
 from agents.policies.base_law import base_law
 from agents.policies.base_names import BaseLaw
 from agents.seeds import MOST_RUNS
-from agents.training.config import TrainConfig
+from agents.training.config import TrainConfig, config_of
 from shake_env.errors import ParameterError, ShakeError
 
 Value = float | int | str
@@ -268,3 +269,47 @@ def search_space_of(rows: Sequence[Mapping[str, Any]]) -> tuple[Knob, ...]:
         Choice(**{**row, "values": tuple(row["values"])}) if "values" in row else Range(**row)
         for row in rows
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """What decides a search.
+
+    Raises
+    ------
+    ParameterError
+        If a number is outside its range.
+    """
+
+    experiment: ExperimentConfig
+    share: float = 0.3
+    """Share of the experiment's steps that a trial trains for."""
+    seed: int = 0
+    """Of what is drawn."""
+    earthquakes: int = 64
+    """Validation earthquakes that a trial is judged on."""
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise ParameterError("seed", self.seed, "must be at least 0")
+        if self.earthquakes < 1:
+            raise ParameterError("earthquakes", self.earthquakes, "must be at least 1")
+        trial_config(self.experiment, {}, self.share)
+
+    @property
+    def name(self) -> str:
+        """Name of the study, and of the folder of its runs."""
+        return f"{self.experiment.name}/share{self.share:g}-seed{self.seed}-tests{self.earthquakes}"
+
+    def identity(self) -> str:
+        """Return everything that decides a trial, so that no search mixes two kinds of them."""
+        config = trial_config(self.experiment, {}, self.share).to_json()
+        return json.dumps([config, search_space_json(search_space(self.experiment))])
+
+    def same(self, identity: str) -> bool:
+        """Return whether that is this search's; options that it does not know have their defaults."""
+        try:
+            (one, space_one), (two, space_two) = json.loads(identity), json.loads(self.identity())
+            return space_one == space_two and config_of(one) == config_of(two)
+        except ValueError:  # a configuration of another version
+            return False

@@ -1,8 +1,9 @@
 """Storages that hold the trace of searches; Optuna reads and writes them.
 
-A path is an SQLite file, for one process at a time. A URL is a storage that several processes and
-machines work on: ``postgresql+pg8000://...`` and whatever else SQLAlchemy reaches, ``grpc://HOST:PORT``
-(a proxy of `optuna.storages.run_grpc_proxy_server`), and ``journal:FILE`` on a shared file system.
+A path is an SQLite file, for processes of one machine, each with a study of its own. A URL is a storage
+that several processes and machines work on: ``postgresql+pg8000://...`` and whatever else SQLAlchemy
+reaches, ``grpc://HOST:PORT`` (a proxy of `optuna.storages.run_grpc_proxy_server`), and ``journal:FILE``
+on a shared file system.
 """
 
 from __future__ import annotations
@@ -15,22 +16,20 @@ import time
 import warnings
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
+from agents.experiments import signs_of_life
 from agents.run_directory import InUseError, locked_folder
 from shake_env.errors import ParameterError, RunDirectoryError, ShakeError, install_hint
 from shake_env.files import file_errors, no_file
 
-HEARTBEAT = 30  # [s] between two signs of life of a trial in a shared database
-GRACE = 120  # [s] without one, after which another process tries the trial again
 ATTEMPTS = 4  # to open a database in which other processes make the tables
 SLOTS = 1000  # processes that work on a search from one folder
 POLL = 0.5  # [s] between two looks at a study whose last trials other processes have
 LONGEST_ENTRY = 100_000  # [bytes] of a journal that are read to tell what it is
-RETRIES = 3  # of a trial whose processes were lost
 _JOURNAL, _PROXY = "journal:", "grpc://"
 _OF_OPTUNA = {"version_info", "studies", "trials"}  # tables of every file of Optuna's
 
@@ -75,12 +74,13 @@ def _own_file(file: Path) -> Any:
         "creator": lambda: sqlite3.connect(file, timeout=60.0, check_same_thread=False),
         "poolclass": sqlalchemy.pool.NullPool,
     }
-    return optuna.storages.RDBStorage("sqlite:///by-creator", engine_kwargs=connect)
+    return _with_tables(
+        lambda: optuna.storages.RDBStorage("sqlite:///by-creator", engine_kwargs=connect)
+    )
 
 
 def _shared(url: str) -> Any:
     import optuna
-    import sqlalchemy.exc
     import sqlalchemy.pool
 
     storages = optuna.storages
@@ -105,21 +105,23 @@ def _shared(url: str) -> Any:
         except Exception as error:  # of grpc, which is imported on use
             raise ParameterError("storage", url, "no proxy answers there: start it first") from error
         return proxy
-    if hasattr(storages, "RetryHeartbeatStaleTrialCallback"):  # its name since Optuna 4.9
-        name, callback = "heartbeat_stale_trial_callback", storages.RetryHeartbeatStaleTrialCallback
-    else:
-        name, callback = "failed_trial_callback", storages.RetryFailedTrialCallback
     # Each process of a search would otherwise keep connections that it seldom needs.
     unpooled = {"poolclass": sqlalchemy.pool.NullPool}
-    retry: dict[str, Any] = {name: callback(RETRIES)}
+    return _with_tables(
+        lambda: storages.RDBStorage(url, engine_kwargs=unpooled, **signs_of_life.heartbeat_options())
+    )
+
+
+def _with_tables(make: Callable[[], Any]) -> Any:
+    """Make the storage of a database, whose tables another process may make at the same time."""
+    import sqlalchemy.exc
+
+    refused = (sqlalchemy.exc.IntegrityError, sqlalchemy.exc.ProgrammingError)
     for attempt in range(1, ATTEMPTS + 1):
         try:
-            return storages.RDBStorage(
-                url, engine_kwargs=unpooled, heartbeat_interval=HEARTBEAT, grace_period=GRACE, **retry
-            )
-        except (sqlalchemy.exc.IntegrityError, sqlalchemy.exc.ProgrammingError):
-            # Another process makes the tables at the same time, and a server refuses the second.
-            if attempt == ATTEMPTS:
+            return make()
+        except (*refused, sqlalchemy.exc.OperationalError) as error:  # SQLite's has the last
+            if attempt == ATTEMPTS or not (isinstance(error, refused) or "exists" in str(error)):
                 raise
             time.sleep(attempt)
     raise AssertionError
@@ -143,18 +145,14 @@ def _require_own(storage: Path) -> None:
         return
     if not storage.is_file():
         raise ParameterError("storage", str(storage), no_file(storage))
-    with closing(sqlite3.connect(f"{storage.resolve().as_uri()}?mode=ro", uri=True)) as file:
-        tables = {row[0] for row in file.execute("select name from sqlite_master where type = 'table'")}
-    if tables and not tables >= _OF_OPTUNA:
-        raise ParameterError("storage", str(storage), "is another program's SQLite file: name another")
-
-
-def sign_of_life(study: Any, trial: Any) -> AbstractContextManager[Any]:
-    """Return what reports that a trial runs, where the storage has heartbeats."""
-    from optuna.storages._heartbeat import get_heartbeat_thread
-
-    thread = get_heartbeat_thread(trial._trial_id, study._storage)
-    return cast("AbstractContextManager[Any]", thread)
+    for wait in (0.0, 1.0):  # another process may be about to make the tables
+        time.sleep(wait)
+        with closing(sqlite3.connect(f"{storage.resolve().as_uri()}?mode=ro", uri=True)) as file:
+            rows = file.execute("select name from sqlite_master where type = 'table'").fetchall()
+        tables = {row[0] for row in rows}
+        if not tables or tables >= _OF_OPTUNA:
+            return
+    raise ParameterError("storage", str(storage), "is another program's SQLite file: name another")
 
 
 def free_slot(home: Path, held: ExitStack) -> str:
@@ -174,36 +172,42 @@ def free_slot(home: Path, held: ExitStack) -> str:
     raise RunDirectoryError("folder", str(home), f"{SLOTS} processes have it: name another")
 
 
-def may_begin(study: Any, total: int, finished: Callable[[], int]) -> bool:
-    """Wait until a shared study lacks a trial that no process has; return whether there is one.
+def has_free_trial(study: Any, total: int, finished: Callable[[], int]) -> bool | None:
+    """Return whether a study lacks a trial that no process has; None: those at work decide.
 
     Parameters
     ----------
     study
-        Other processes work on it, too.
+        Other processes may work on it, too.
     total
         Trials that are wanted. Processes that find the last one lacking at once each make one.
     finished
         The number of those that are done.
     """
-    import optuna
+    if (done := finished()) >= total:
+        return False
+    signs_of_life.retry_lost_trials(study)
+    states = [trial.state.name for trial in study.get_trials(deepcopy=False)]
+    return "WAITING" in states or done + states.count("RUNNING") < total or None
 
-    while (done := finished()) < total:
-        optuna.storages.fail_stale_trials(study)
-        states = [trial.state.name for trial in study.get_trials(deepcopy=False)]
-        if "WAITING" in states or done + states.count("RUNNING") < total:
-            return True
+
+def may_begin(study: Any, total: int, finished: Callable[[], int]) -> bool:
+    """Wait until a study lacks a trial that no process has; return whether there is one.
+
+    The parameters are those of `has_free_trial`.
+    """
+    while (free := has_free_trial(study, total, finished)) is None:
         time.sleep(POLL)
-    return False
+    return free
 
 
-def shared_sampler(seed: int, finished: int) -> Any:
-    """Return a sampler of a shared study, seeded by the process and the number of trials done."""
+def shared_sampler(seed: int, place: int) -> Any:
+    """Return a sampler of a shared study, seeded by the process and the number of trials before."""
     import optuna
 
     own = zlib.crc32(f"{socket.gethostname()} {os.getpid()}".encode()) % 997
     return optuna.samplers.TPESampler(
-        seed=seed + 1000 * finished + own, multivariate=True, constant_liar=True
+        seed=seed + 1000 * place + own, multivariate=True, constant_liar=True
     )
 
 
@@ -219,6 +223,8 @@ def storage_errors(storage: str | PathLike[str]) -> Iterator[None]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+            # Trials that are asked for have theirs from `signs_of_life`.
+            warnings.filterwarnings("ignore", "Heartbeat of storage", UserWarning)
             yield
     except Exception as error:
         cause: BaseException | None = error

@@ -1,8 +1,9 @@
-"""One run of a campaign, as a worker carries it out."""
+"""One run of a campaign or of a search, as a worker carries it out."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
@@ -18,8 +19,15 @@ PATIENCE = 120.0  # [s] between two lines that say who holds the run
 LONGEST = 24 * 3600.0  # [s] that a run is waited for which a worker of an earlier campaign goes on with
 
 
-def train_run(run: str | PathLike[str], values: dict[str, Any], command: str) -> None:
+def train_run(
+    run: str | PathLike[str],
+    values: dict[str, Any],
+    command: str,
+    on_progress: Callable[[Progress], None] = lambda progress: None,
+) -> None:
     """Train a configuration, or go on with its run, and keep the run's progress file up to date.
+
+    What `on_progress` raises ends the run.
 
     Raises
     ------
@@ -32,6 +40,7 @@ def train_run(run: str | PathLike[str], values: dict[str, Any], command: str) ->
 
     def report(progress: Progress) -> None:
         write_json(run / PROGRESS, asdict(progress))
+        on_progress(progress)
 
     end = time.monotonic() + LONGEST
     while True:

@@ -1,5 +1,12 @@
 """An experiment of a second, for the tests of searches."""
 
+from contextlib import contextmanager
+from dataclasses import replace
+
+import pytest
+from matplotlib.figure import Figure
+
+from agents.experiments import catalogue
 from agents.experiments.catalogue import ExperimentConfig
 from agents.scenario_options import ScenarioOptions
 from agents.training.algorithm_options import PPOOptions
@@ -16,3 +23,20 @@ SMALL = TrainConfig(
     checkpoint_interval=1e-9,
 )
 TINY = ExperimentConfig(evaluation_task="linear", config=SMALL, minutes=0.1)
+
+
+@contextmanager
+def short_validation():
+    """What a search is judged on lasts a second, and no evaluation of this process draws a figure."""
+    task = replace(
+        next(t for t in catalogue.EVALUATION_TASKS if t.name == "linear"), options=SMALL.scenario
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("agents.experiments.search_objective.EVALUATION_TASKS", (task,))
+        patch.setattr("agents.training.watch.example_figure", lambda trajectory, title: Figure())
+        yield
+
+
+def essence(trace):
+    """What decides a trial and what came of it; numbers have gaps where a trial was cut."""
+    return [(row.values, row.cost, row.ratio, row.lost, row.state, row.default) for row in trace.trials]

@@ -1,8 +1,13 @@
 """Units of work: the same results by every engine, done once, however workers end."""
 
 import math
+import re
+import socket
 import sys
-from contextlib import contextmanager
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
 
 import cloudpickle
 import numpy as np
@@ -10,7 +15,9 @@ import pytest
 import unit_calls
 from unit_calls import allocates, dies, divides, noted, refuses, runs, says
 
+from agents import execution
 from agents.execution import executor as executor_module
+from agents.execution import ray_executor
 from agents.execution.encoding import decoded, encoded
 from agents.execution.environment import environment, folder_token
 from agents.execution.executor import ATTEMPTS
@@ -20,7 +27,7 @@ from agents.execution.submitit_executor import _parameter
 from agents.execution.units import Unit, UnitRunner, plain_identity
 from agents.execution.worker import Call, Conditions, pack_calls, perform_calls
 from shake_env import SCENARIO_NAMES, make_scenario
-from shake_env.errors import FileError, ParameterError
+from shake_env.errors import FileError, ParameterError, ShakeError
 
 cloudpickle.register_pickle_by_value(unit_calls)  # workers of Ray do not have this folder
 
@@ -193,3 +200,92 @@ def test_workers_are_as_many_as_a_command_usually_has(tmp_path):
 def test_parameters_of_jobs_that_have_no_meaning_are_refused(text):
     with pytest.raises(ParameterError, match="slurm"):
         _parameter(text)
+
+
+def test_an_address_without_a_cluster_is_named_in_time(monkeypatch):
+    monkeypatch.setattr(ray_executor, "ANSWER", 0.2)
+    with socket.socket() as mute:
+        mute.bind(("127.0.0.1", 0))
+        port = mute.getsockname()[1]
+        with pytest.raises(ParameterError, match=f"{port}.*refused.*ray start --head"):
+            ray_executor.require_answer(f"127.0.0.1:{port}")
+        mute.listen(4)  # the system accepts, and nobody reads
+        for address in (f"127.0.0.1:{port}", f"ray://localhost:{port}"):
+            began = time.monotonic()
+            with pytest.raises(ParameterError, match=f"{port}.*no answer in 0.2 s"):
+                ray_executor.require_answer(address)
+            assert time.monotonic() - began < 5.0
+    for address in ("somewhere", ":6379", "host:port"):
+        with pytest.raises(ParameterError, match="HOST:6379"):
+            ray_executor.require_answer(address)
+
+
+def test_an_address_where_grpc_answers_is_asked_no_more():
+    grpc = pytest.importorskip("grpc", reason="grpcio is not installed: TensorBoard brings it")
+    server = grpc.server(ThreadPoolExecutor(1))
+    port = server.add_insecure_port("127.0.0.1:0")
+    server.start()
+    ray_executor.require_answer(f"127.0.0.1:{port}")
+    server.stop(None).wait()
+
+
+@pytest.mark.slow
+def test_the_executor_asks_before_ray_does(tmp_path):
+    pytest.importorskip("ray", reason="ray is not installed: it is an extra")
+    options = ExecutionOptions(executor="ray", ray_address="127.0.0.1:9", units=tmp_path)
+    began = time.monotonic()
+    with pytest.raises(ParameterError, match="ray-address"), options.open_executor():
+        pass
+    assert time.monotonic() - began < 30.0  # the import of Ray
+
+
+def test_refused_parameters_of_jobs_leave_no_folder(tmp_path):
+    for text in ("alone", "timeout_min=0"):
+        with pytest.raises(ParameterError, match="slurm"):
+            ExecutionOptions(executor="submitit", units=tmp_path / "units", slurm=(text,))
+    pytest.importorskip("submitit", reason="submitit is not installed: it is an extra")
+    for text in ("slurm_nothing=1", "nothing=1", "other_time=3", "nodes=many"):
+        with pytest.raises(ParameterError, match="not understood"):
+            ExecutionOptions(executor="submitit", units=tmp_path / "units", slurm=(text,))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_stated_memory_bounds_a_single_process_too(tmp_path):
+    units = [Unit("large", allocates, (3.0,))]
+    with ExecutionOptions(units=tmp_path).open_runner() as runner:
+        assert runner.executor is None
+    with (
+        ExecutionOptions(units=tmp_path, worker_memory=2.0).open_runner() as runner,
+        pytest.raises(ShakeError, match="--worker-memory") if sys.platform == "linux" else nullcontext(),
+    ):
+        assert isinstance(runner.executor, LocalExecutor) and runner.executor.workers == 1
+        runner.run(units)
+
+
+def test_calls_are_taken_one_by_one_as_there_is_room():
+    begun, ended = [], []
+
+    def calls():
+        for number in range(4):
+            begun.append(number)
+            yield Call(f"{number}", divides, (number + 1,))
+            if number == 1:  # nothing at present, until those at work have ended
+                while len(ended) < 2:
+                    yield None
+
+    with LocalExecutor(1) as executor:
+        for index, outcome in executor.results(calls()):
+            ended.append(index)
+            assert decoded(outcome.content) == 1 / (index + 1)
+            assert len(begun) <= len(ended) + 1
+    assert ended == begun == [0, 1, 2, 3]
+
+
+def test_nothing_but_the_options_knows_an_engine():
+    engine = re.compile(
+        r"^ *(from|import) (ray|submitit|agents\.execution\.\w+_executor)\b", re.MULTILINE
+    )
+    root = Path(execution.__file__).parents[1]
+    files = [file for file in root.rglob("*.py") if engine.search(file.read_text(encoding="utf-8"))]
+    own = {"options.py", "ray_executor.py", "submitit_executor.py"}
+    assert {file.name for file in files} == own and {file.parent.name for file in files} == {"execution"}

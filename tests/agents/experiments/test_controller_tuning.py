@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from agents.__main__ import main
+from agents.execution.local_executor import LocalExecutor
 from agents.execution.units import UnitRunner
 from agents.experiments.controller_tuning import (
     FAILED,
@@ -201,3 +202,18 @@ def test_a_storage_that_no_controller_can_use_ends_the_search_of_all(tmp_path):
                 ["preview-lqr"], make_scenario(), storage, budget=20_000, earthquakes=1, seed=0,
                 tuned=None, runner=UnitRunner(), on_progress=lambda name, share: None,
             )  # fmt: skip
+
+
+def test_workers_of_other_machines_need_a_storage_that_they_share(tmp_path):
+    class Elsewhere(LocalExecutor):
+        on_this_machine = False
+
+    with (
+        Elsewhere(1) as executor,
+        pytest.raises(ParameterError, match=r"file of this machine.*journal:FILE"),
+    ):
+        tune_each(
+            ["preview-lqr"], make_scenario(), tmp_path / "t.db", budget=20_000, earthquakes=1, seed=0,
+            tuned=None, runner=UnitRunner(executor), on_progress=lambda name, share: None,
+        )  # fmt: skip
+    assert not (tmp_path / "t.db").exists()

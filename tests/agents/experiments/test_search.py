@@ -3,24 +3,21 @@
 import json
 import math
 import os
+import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
-from matplotlib.figure import Figure
-from small_experiment import SMALL, TINY
+from small_experiment import SMALL, TINY, essence, short_validation
 
 from agents.__main__ import main
 from agents.experiments import catalogue
 from agents.experiments.catalogue import ExperimentConfig
-from agents.experiments.search import Search, find_experiment, open_search, search_training, trace_of
+from agents.experiments.search import find_experiment, open_search, search_training, trace_of
 from agents.experiments.search_figure import search_figure
-from agents.experiments.search_objective import (
-    OutOfTimeError,
-    PrunedError,
-    PruningCallback,
-    ValidationSet,
-)
+from agents.experiments.search_objective import PrunedError, PruningCallback, ValidationSet
 from agents.experiments.search_space import (
+    Search,
     own_values,
     search_space,
     trial_config,
@@ -33,7 +30,6 @@ from agents.experiments.search_trace import (
     search_markdown,
     write_trace,
 )
-from agents.progress import Progress
 from agents.run_directory import locked_folder
 from agents.training.algorithm_options import SACOptions
 from agents.training.config import TrainConfig
@@ -45,13 +41,7 @@ SEARCH = Search(experiment=TINY, share=0.5, earthquakes=2)
 
 @pytest.fixture(scope="module", autouse=True)
 def _short_validation_without_figures():
-    """What a search is judged on lasts a second, and no evaluation draws one."""
-    task = replace(
-        next(t for t in catalogue.EVALUATION_TASKS if t.name == "linear"), options=SMALL.scenario
-    )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("agents.experiments.search_objective.EVALUATION_TASKS", (task,))
-        patch.setattr("agents.training.watch.example_figure", lambda trajectory, title: Figure())
+    with short_validation():
         yield
 
 
@@ -69,11 +59,6 @@ def test_the_reference_costs_what_it_costs():
 def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     return search_training(SEARCH, folder / "r.db", folder, trials=3)
-
-
-def essence(trace):
-    """What decides a trial and what came of it; numbers have gaps where a trial was cut."""
-    return [(row.values, row.cost, row.ratio, row.lost, row.state, row.default) for row in trace.trials]
 
 
 def test_the_first_trial_is_the_experiment(whole):
@@ -111,14 +96,33 @@ def test_a_search_that_was_cut_ends_as_one_that_was_not(whole, tmp_path, late, t
     assert search_training(SEARCH, storage, tmp_path, trials=trials) == again
 
 
-def test_time_ends_a_search_and_the_trial_stays(tmp_path):
+def test_time_ends_a_search_and_the_trial_stays(whole, tmp_path, monkeypatch):
     trace = search_training(SEARCH, tmp_path / "r.db", tmp_path, trials=3, minutes=1e-9)
     assert trace.trials == ()
-    study = open_search(SEARCH, tmp_path / "r.db")
-    judge = PruningCallback(study.ask(), trial_config(TINY, {}, 0.5), tmp_path, until=0.0)
-    with pytest.raises(OutOfTimeError):
-        judge(Progress(10, 512, 1.0, None))
-    judge(Progress(512, 512, 1.0, None))  # a run that is through is not thrown away
+    over = []
+    clock = SimpleNamespace(
+        monotonic=lambda: math.inf if over else time.monotonic(), process_time=time.process_time
+    )
+    with monkeypatch.context() as patch:
+        patch.setattr("agents.experiments.search_work.time", clock)
+        trace = search_training(
+            SEARCH, tmp_path / "r.db", tmp_path, trials=2, minutes=60.0, on_update=over.append
+        )
+    assert trace.trials == () and len(over) == 1  # it ended at the next report
+    assert [t.state.name for t in open_search(SEARCH, tmp_path / "r.db").get_trials()] == ["RUNNING"]
+    # A run that is through is not thrown away.
+    over.clear()
+
+    def end(now):
+        if now.progress is not None and now.progress.steps == now.progress.total_steps:
+            over.append(now)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("agents.experiments.search_work.time", clock)
+        trace = search_training(
+            SEARCH, tmp_path / "r.db", tmp_path, trials=2, minutes=60.0, on_update=end
+        )
+    assert over and essence(trace) == essence(whole)[:1]
 
 
 @pytest.fixture
@@ -151,7 +155,7 @@ def test_a_trial_behind_the_others_is_ended(led, tmp_path):
 
 def test_what_is_judged_is_the_policy_that_a_run_keeps(led, tmp_path):
     _, study = led
-    config, now = trial_config(TINY, {}, 1.0), Progress(900, 1_024, 1.0, None)
+    config = trial_config(TINY, {}, 1.0)
 
     def evaluated(*rows):
         lines = [json.dumps({"steps": s, "cost_ratio": c}) for s, c in rows]
@@ -159,12 +163,12 @@ def test_what_is_judged_is_the_policy_that_a_run_keeps(led, tmp_path):
         return PruningCallback(study.ask(), config, tmp_path)
 
     judge = evaluated((0, 1e-4), (512, math.nan), (640, 9.0))
-    judge(now)  # its first is ahead of every other trial
+    judge.report()  # its first is ahead of every other trial
     assert judge.best == 1e-4
     with pytest.raises(PrunedError):  # it caught up, but was behind before
-        evaluated((0, 2e-3), (512, 2e-3), (768, 1e-4))(now)
-    evaluated((0, 2e-3), (128, 2e-3), (512, 1e-4))(now)  # a beginning is let be
-    evaluated((0, 2e-3), (1_024, 2e-3))(now)  # so is an end
+        evaluated((0, 2e-3), (512, 2e-3), (768, 1e-4)).report()
+    evaluated((0, 2e-3), (128, 2e-3), (512, 1e-4)).report()  # a beginning is let be
+    evaluated((0, 2e-3), (1_024, 2e-3)).report()  # so is an end
 
 
 def test_a_storage_with_another_recipe_and_a_foreign_run_are_left_alone(tmp_path):

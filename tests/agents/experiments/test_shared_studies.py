@@ -13,16 +13,22 @@ from pathlib import Path
 
 import pytest
 
-from agents.experiments.study_storage import is_shared, open_study, without_password
+from agents.experiments import signs_of_life
+from agents.experiments.study_storage import (
+    is_shared,
+    open_study,
+    storage_errors,
+    without_password,
+)
 from shake_env.errors import ParameterError
 
 WORK = """
 import sys, time
-from agents.experiments import study_storage
+from agents.experiments import signs_of_life
 from agents.experiments.controller_tuning import search
 from baselines.baseline import Tunable
 
-study_storage.HEARTBEAT, study_storage.GRACE = 1, 4
+signs_of_life.HEARTBEAT, signs_of_life.GRACE = 1, 4
 storage, total, seconds, note = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), sys.argv[4]
 
 def cost(values):
@@ -64,9 +70,7 @@ def postgresql():
         if made.returncode:
             # A container without locales or shared memory: the server itself cannot be made here.
             pytest.skip(f"initdb fails here: {made.stderr}")
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
+        port = free_port()
         options = ["-D", data, "-p", str(port), "-k", name, "-h", "127.0.0.1", "-c", "fsync=off"]
         server = subprocess.Popen(
             [programs[1], *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **user
@@ -82,11 +86,40 @@ def postgresql():
         server.wait(timeout=60)
 
 
-@pytest.fixture(params=["journal", "postgresql"])
+PROXY = """
+import sys
+from optuna.storages import get_storage, run_grpc_proxy_server
+run_grpc_proxy_server(get_storage(sys.argv[1]), host="127.0.0.1", port=int(sys.argv[2]))
+"""
+
+
+@pytest.fixture
+def grpc(tmp_path):
+    """The URL of a proxy, a process of its own on the loopback, before a database."""
+    pytest.importorskip("grpc", reason="grpcio is not installed: TensorBoard brings it")
+    port = free_port()
+    server = subprocess.Popen(
+        [sys.executable, "-W", "ignore", "-c", PROXY, f"sqlite:///{tmp_path}/behind.db", str(port)],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    yield f"grpc://127.0.0.1:{port}"  # who opens it waits until it answers
+    assert server.poll() is None, server.stderr.read()
+    server.terminate()
+    server.communicate(timeout=60)
+
+
+def free_port():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
+@pytest.fixture(params=["journal", "postgresql", "grpc"])
 def storage(request, tmp_path):
     if request.param == "journal":
         return f"journal:{tmp_path / 'study.journal'}"
-    return request.getfixturevalue("postgresql")
+    return request.getfixturevalue(request.param)
 
 
 def begin(folder, storage, total, seconds):
@@ -120,19 +153,21 @@ def test_two_processes_share_a_study(storage, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_killed_processs_trial_is_tried_again(postgresql, tmp_path):
+def test_a_killed_processs_trial_is_tried_again(storage, tmp_path):
     folder = tmp_path
-    database = postgresql  # a study of its own: the first test's is done
-    study, _ = open_study(database, "study")
-    before = len(study.get_trials(deepcopy=False))
-    first = begin(folder, database, before + 3, 600.0)
+    starts = begin(folder, storage, 2, 0.1)  # what a search begins with
+    _, said = starts.communicate(timeout=300)
+    assert starts.returncode == 0, said
+    study, _ = open_study(storage, "study")
+    before, noted = len(study.get_trials(deepcopy=False)), len(values(folder))
+    first = begin(folder, storage, before + 3, 600.0)
     end = time.monotonic() + 120.0
-    while not values(folder) and time.monotonic() < end:
+    while len(values(folder)) == noted and time.monotonic() < end:
         time.sleep(0.1)
     first.kill()
     first.communicate()
-    (lost,) = values(folder)
-    second = begin(folder, database, before + 3, 0.1)
+    (lost,) = values(folder)[noted:]
+    second = begin(folder, storage, before + 3, 0.1)
     _, said = second.communicate(timeout=300)
     assert second.returncode == 0, said
     trials = study.get_trials(deepcopy=False)
@@ -140,6 +175,77 @@ def test_a_killed_processs_trial_is_tried_again(postgresql, tmp_path):
     assert [t.state.name for t in again] == ["FAIL", "COMPLETE"]
     assert sum(t.state.name == "COMPLETE" for t in trials) >= before + 3
     assert not any(t.state.name in ("RUNNING", "WAITING") for t in trials)
+
+
+ONE_FILE = """
+import sys, time
+from pathlib import Path
+from agents.experiments.controller_tuning import search
+from agents.experiments.study_storage import storage_errors
+from baselines.baseline import Tunable
+
+storage, name, total = sys.argv[1], sys.argv[2], int(sys.argv[3])
+print("ready", flush=True)
+while not Path(storage + ".go").exists():
+    time.sleep(0.001)
+with storage_errors(storage):
+    search(lambda values: (values["x"] - 1.0) ** 2, {"x": Tunable(0.0, 10.0, 5.0, logarithmic=False)},
+           storage, name, total, 0, lambda *told: None, [{"x": 5.0}, {"x": 1.0}])
+"""
+
+
+@pytest.mark.slow
+def test_processes_with_a_study_each_begin_one_sqlite_file_at_once(tmp_path):
+    file, total = tmp_path / "all.db", 15
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-c", ONE_FILE, str(file), f"study{i}", str(total)],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )
+        for i in range(4)
+    ]  # fmt: skip
+    for process in processes:
+        assert process.stdout.readline() == "ready\n"
+    (tmp_path / "all.db.go").touch()
+    for process in processes:
+        _, said = process.communicate(timeout=300)
+        assert process.returncode == 0, said
+    for i in range(4):
+        study, made = open_study(file, f"study{i}")
+        trials = study.get_trials(deepcopy=False)
+        assert not made and [t.state.name for t in trials] == ["COMPLETE"] * total
+
+
+def test_a_trial_without_a_sign_of_life_is_queued_again_and_one_with_it_is_not(tmp_path, monkeypatch):
+    monkeypatch.setattr(signs_of_life, "HEARTBEAT", 0.1)
+    monkeypatch.setattr(signs_of_life, "GRACE", 0.8)
+    storage = f"journal:{tmp_path / 'study.journal'}"
+    with storage_errors(storage):
+        study, _ = open_study(storage, "study")
+        lost, alive = study.ask(), study.ask()
+        lost.suggest_float("x", 0.0, 1.0)
+        with signs_of_life.sign_of_life(study, lost):
+            pass  # as if its process ended here
+        other, _ = open_study(storage, "study")
+        with signs_of_life.sign_of_life(study, alive):
+            end = time.monotonic() + 2.0
+            while time.monotonic() < end:
+                signs_of_life.retry_lost_trials(other)
+                time.sleep(0.05)
+        states = [trial.state.name for trial in other.get_trials()]
+        assert states == ["FAIL", "RUNNING", "WAITING"]
+        assert other.get_trials()[2].params == lost.params
+        other.tell(alive.number, 0.0)
+        # Lost again and again, it is given up.
+        for _ in range(signs_of_life.RETRIES):
+            again = other.ask()
+            assert again.params == lost.params
+            end = time.monotonic() + 1.5
+            while time.monotonic() < end:
+                signs_of_life.retry_lost_trials(other)
+                time.sleep(0.05)
+        states = [trial.state.name for trial in other.get_trials()]
+        assert "WAITING" not in states and states.count("FAIL") >= 1 + signs_of_life.RETRIES
 
 
 def test_storages_are_told_apart_and_keep_their_password():
