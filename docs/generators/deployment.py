@@ -41,13 +41,15 @@ def accuracy(result: dict[str, Any]) -> str:
             str(exceptions),
             worst("single"),
             worst("cost"),
+            worst("nearest"),
             f"{sum(row['random'] for row in own):,}".replace(",", " "),
             worst("random_largest"),
             ", ".join(sorted({each for row in own for each in row["checked"]})),
         ))  # fmt: skip
     head = (
         "controller", "scenarios", "decisions", "double", "of one float32 step", "single",
-        "cost, single", "random observations", "double", "no finding of",
+        "cost, single",
+        "from a run that differs in last bits", "random observations", "double", "no finding of",
     )  # fmt: skip
     scenarios = ", ".join(dict.fromkeys(f"`{row['scenario']}`" for row in result["rows"]))
     return (

@@ -18,6 +18,7 @@ from agents.deployment.rehearsal.datagram import (
     BEGINS,
     COMMAND,
     ENDS,
+    IGNORED_SHIFT,
     MEASUREMENT,
     REFUSED,
     Datagram,
@@ -159,13 +160,15 @@ def _serve(name: str, scenario: Scenario, supervised: bool, ports: Any) -> None:
 def serve(controller: Controller, scenario: Scenario, endpoint: socket.socket) -> None:
     """Answer measurements with commands until a datagram says that it is the end.
 
-    One decision a period, from the newest measurement: what is repeated, out of order or corrupt is not
-    answered.
+    One decision a period, from the newest measurement: what is repeated, out of order, corrupt or of a
+    test whose start has not come is not answered, and counted in the upper byte of the next command's
+    flags.
     """
     scales = np.array([channel.scale for channel in observation_channels(scenario)])
     limit = current_channel(scenario).scale
     memory: tuple[Any, ...] | None = None
-    last = -1
+    test: int | None = None  # number of the present one
+    last = ignored = 0
     while True:
         try:
             data, peer = endpoint.recvfrom(65536)
@@ -173,22 +176,26 @@ def serve(controller: Controller, scenario: Scenario, endpoint: socket.socket) -
             return
         given = unpack(data)
         if given is None or given.kind != MEASUREMENT or len(given.channels) != len(scales):
+            ignored += 1
             continue
         if given.flags & ENDS:
             return
-        begins = bool(given.flags & BEGINS)
-        if not begins and given.sequence <= last:
+        begins = bool(given.flags & BEGINS) and given.test != test
+        if begins:
+            test, ignored = given.test, 0
+        elif given.test != test or given.sequence <= last:
+            ignored += 1
             continue
         last = given.sequence
         observation = (given.channels / scales).astype(np.float32)[None]
-        action, flags = 0.0, 0
+        action, flags = 0.0, (ignored & 0xFF) << IGNORED_SHIFT
         if not np.isfinite(observation).all() and not isinstance(controller, Supervised):
-            flags = REFUSED
+            flags |= REFUSED
         else:
             chosen, memory = decide(controller, observation, memory, np.array([begins]))
             action = float(chosen[0, 0])
             if not np.isfinite(action):
-                action, flags = 0.0, REFUSED
+                action, flags = 0.0, flags | REFUSED
         command = Datagram(
             COMMAND, given.sequence, given.time, np.array([limit * action]), flags, given.test
         )

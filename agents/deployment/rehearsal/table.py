@@ -7,6 +7,7 @@ and the table stepped. All that is timed is timed here, by one clock.
 from __future__ import annotations
 
 import gc
+import itertools
 import select
 import socket
 import time
@@ -20,7 +21,15 @@ import numpy as np
 from agents.deployment.channels import observation_channels
 from agents.deployment.rehearsal.clock import wait_until
 from agents.deployment.rehearsal.controller_process import LOOPBACK, ControllerProcess
-from agents.deployment.rehearsal.datagram import BEGINS, COMMAND, MEASUREMENT, REFUSED, Datagram, unpack
+from agents.deployment.rehearsal.datagram import (
+    BEGINS,
+    COMMAND,
+    IGNORED_SHIFT,
+    MEASUREMENT,
+    REFUSED,
+    Datagram,
+    unpack,
+)
 from agents.deployment.rehearsal.exported_table import ExportedTable
 from agents.deployment.rehearsal.faults import (
     CONTROLLER_DIES,
@@ -51,7 +60,11 @@ TIMES = (
 )  # fmt: skip
 
 NO_COMMAND = "no command in time"
+IGNORED = "measurement ignored by the controller"
 TEXTS = ("mode", "events", "injected")
+_NUMBERS = itertools.count(
+    1
+)  # of tests: a controller tells a repeated start from a new test by its number
 
 
 @dataclass
@@ -151,7 +164,7 @@ class TableProcess:
         self._recorded = ("target_acceleration", "current", *self._added, *measured)
         self._simulation = Simulation(scenario, 1)
         self._exported = ExportedTable(scenario, self._simulation) if exported else None
-        self._tests = 0
+        self._test = 0
 
     def run(
         self,
@@ -174,7 +187,7 @@ class TableProcess:
             Told the share of the test that is done, twice a second; not where periods follow the clock,
             which what it does would delay.
         """
-        simulation, self._tests = self._simulation, self._tests + 1
+        simulation, self._test = self._simulation, next(_NUMBERS)
         simulation.start([0], [np.random.default_rng(earthquake.seed)], [earthquake.motion])
         count = int(simulation.episode_steps[0])
         count = count if periods is None else min(count, periods)
@@ -206,7 +219,7 @@ class TableProcess:
     @property
     def test(self) -> int:
         """Number of the present test."""
-        return self._tests
+        return self._test
 
     def step(self, current: float) -> tuple[FloatArray, list[float], str | None, bool]:
         """Step the table; return observation, signals, the limit that broke, and whether it ends."""
@@ -256,6 +269,7 @@ class _Periods:
         self._sticks = {fault.period: fault.channel for fault in faults if fault.kind == SENSOR_STICKS}
         self._stuck: dict[int, tuple[int, float]] = {}  # place: (until, value)
         self._newest = -1
+        self._ignored = 0  # measurements, as the newest command tells
         self._happened: list[str] = []
 
     def run(self, observation: FloatArray, count: int, on_period: Callable[[float], None]) -> None:
@@ -377,5 +391,9 @@ class _Periods:
             self._note("command late")
         else:
             self._newest = given.sequence
+            ignored = given.flags >> IGNORED_SHIFT
+            if ignored != self._ignored:
+                self._note(IGNORED)
+            self._ignored = ignored
             return float(given.channels[0])
         return None
