@@ -96,6 +96,8 @@ def rehearsals(result: list[dict[str, Any]]) -> str:
             str(injected),
             str(sum(len(test["faults"]) for test in each["unnoticed"])),
             str(each["deadline_misses_not_injected"]),
+            _known(each.get("while_the_machine_stalled")),
+            _known((first.get("machine") or {}).get("longest_stall_us")),
             str(each["hard_limits_broken"]),
             *(f"{first[name][key]:.0f}" for name in ("latency", "jitter")
               for key in ("median_us", "p99_us", "worst_us")),
@@ -105,6 +107,10 @@ def rehearsals(result: list[dict[str, Any]]) -> str:
     )
     head = (
         "rehearsal", "tests", "periods", "faults injected", "unnoticed", "misses not injected",
-        "limits broken", *times,
+        "of them in a stall", "longest stall [us]", "limits broken", *times,
     )  # fmt: skip
     return "Rehearsals of the C program `lqg` in `laboratory`.\n\n" + table(head, rows)
+
+
+def _known(number: float | None) -> str:
+    return "-" if number is None else f"{number:.0f}"

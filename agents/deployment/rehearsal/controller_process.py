@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import queue
 import socket
@@ -40,6 +41,11 @@ class ControllerProcess(Protocol):
     """A process that answers measurements on a port of the loopback."""
 
     port: int
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        ...
 
     def kill(self) -> None:
         """End it at once, as a crash does."""
@@ -94,6 +100,11 @@ class CProcess:
             raise ShakeError("controller process", self._command, "did not start")
         self.port = int(line)
 
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
     def restart(self) -> None:
         """Start the program again after it was killed."""
         self.kill()
@@ -130,6 +141,12 @@ class PythonProcess:
             self.kill()
             raise ShakeError("controller process", self._arguments[0], "did not start") from None
 
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        assert self._process.pid is not None  # it was started
+        return self._process.pid
+
     def restart(self) -> None:
         """Start the process again after it was killed."""
         self.kill()
@@ -150,6 +167,8 @@ def _serve(name: str, scenario: Scenario, supervised: bool, ports: Any) -> None:
     if supervised:
         controller = Supervised(controller, scenario)
     decide(controller, np.zeros((1, scenario.observation.size), np.float32))  # compile and load, once
+    gc.collect()
+    gc.freeze()  # what is there by now is not looked through again
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as endpoint:
         endpoint.bind((LOOPBACK, 0))
         endpoint.settimeout(PATIENCE)

@@ -11,7 +11,8 @@ from typing import Any
 from agents.deployment.rehearsal.controller_process import Runs, start_controller
 from agents.deployment.rehearsal.faults import CONTROLLER_DIES, SENSOR_STICKS, draw_faults
 from agents.deployment.rehearsal.log import draw_timing, recorded_log, write_periods
-from agents.deployment.rehearsal.table import IGNORED, NO_COMMAND, Rehearsal, TableProcess
+from agents.deployment.rehearsal.rehearsed import IGNORED, NO_COMMAND, Rehearsal
+from agents.deployment.rehearsal.table import TableProcess
 from agents.laboratory.logs.hdf5_file import library
 from agents.laboratory.logs.log_file import write_log
 from shake_env.errors import ParameterError
@@ -173,6 +174,7 @@ def _result(
     for test in tests:
         events += test.events
         injected += test.injected
+    stalled = [test.stalled_misses() for test in tests]
     return {
         "controller": name,
         "runs": plan.runs,
@@ -183,6 +185,7 @@ def _result(
         "events": dict(sorted(events.items())),
         "injected": dict(sorted(injected.items())),
         "unnoticed": missed,
-        "deadline_misses_not_injected": sum(test.own_misses() for test in tests),
+        "deadline_misses_not_injected": sum(len(test.own_misses()) for test in tests),
+        "while_the_machine_stalled": None if None in stalled else sum(filter(None, stalled)),
         "first_test": tests[0].summary(),
     }

@@ -11,15 +11,14 @@ import itertools
 import select
 import socket
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from contextlib import nullcontext
+from dataclasses import replace
 
 import numpy as np
 
 from agents.deployment.channels import observation_channels
-from agents.deployment.rehearsal.clock import wait_until
+from agents.deployment.rehearsal.clock import longest_gap, wait_until
 from agents.deployment.rehearsal.controller_process import LOOPBACK, ControllerProcess
 from agents.deployment.rehearsal.datagram import (
     BEGINS,
@@ -40,6 +39,8 @@ from agents.deployment.rehearsal.faults import (
     FaultyLink,
 )
 from agents.deployment.rehearsal.guard import HoldThenBrake
+from agents.deployment.rehearsal.real_time import real_time
+from agents.deployment.rehearsal.rehearsed import IGNORED, NO_COMMAND, Rehearsal
 from shake_env.kernels.layout import REPORT
 from shake_env.model.parameters import FloatArray
 from shake_env.rollout import Earthquake
@@ -59,65 +60,10 @@ TIMES = (
     "time [s]", "sequence [-]", "jitter [us]", "latency [us]", "asked [A]", "current [A]",
 )  # fmt: skip
 
-NO_COMMAND = "no command in time"
-IGNORED = "measurement ignored by the controller"
 TEXTS = ("mode", "events", "injected")
-_NUMBERS = itertools.count(
-    1
-)  # of tests: a controller tells a repeated start from a new test by its number
-
-
-@dataclass
-class Rehearsal:
-    """What a rehearsed test was."""
-
-    scenario: Scenario  # with the test's motion
-    columns: tuple[str, ...]  # of `rows`, names with units
-    rows: list[list[Any]] = field(default_factory=list)  # one a control period
-    channels: tuple[str, ...] = ()  # of `samples`: those that a laboratory's recorder measures
-    samples: list[list[float]] = field(default_factory=list)  # at each period's end [SI]
-    events: Counter[str] = field(default_factory=Counter)  # what the table noticed
-    injected: Counter[str] = field(default_factory=Counter)  # what the plan of faults did
-    broken_limit: str | None = None
-
-    def column(self, name: str) -> FloatArray:
-        """Return a column of numbers; NaN where a period has none."""
-        place = [text.split(" [")[0] for text in self.columns].index(name)
-        return np.array([np.nan if row[place] == "" else float(row[place]) for row in self.rows])
-
-    def own_misses(self) -> int:
-        """Return the periods without a command in time that no injected fault explains."""
-        injected, events = (self.columns.index(name) for name in ("injected", "events"))
-        alive, count = True, 0
-        for row in self.rows:
-            alive = alive and CONTROLLER_DIES not in row[injected]
-            explained = not alive or any(fault in row[injected] for fault in LINK_FAULTS)
-            count += NO_COMMAND in row[events] and not explained
-        return count
-
-    def summary(self) -> dict[str, Any]:
-        """Return counts, and quantiles of latency and jitter [us], as plain values."""
-        latency, jitter = self.column("latency"), np.abs(self.column("jitter"))
-        latency = latency[np.isfinite(latency)]
-
-        def quantiles(values: FloatArray) -> dict[str, float] | None:
-            if not len(values):
-                return None
-            median, high, most = np.quantile(values, [0.5, 0.99, 1.0])
-            return {"median_us": float(median), "p99_us": float(high), "worst_us": float(most)}
-
-        return {
-            "scenario": self.scenario.name,
-            "periods": len(self.rows),
-            "period": self.scenario.control_period,
-            "broken_limit": self.broken_limit,
-            "deadline_misses": self.events[NO_COMMAND],
-            "deadline_misses_not_injected": self.own_misses(),
-            "events": dict(sorted(self.events.items())),
-            "injected": dict(sorted(self.injected.items())),
-            "latency": quantiles(latency),
-            "jitter": quantiles(jitter),
-        }
+BEFORE = 0.5  # [s] for which the clock is read before a test that follows it
+# Of tests: a controller tells a start that comes twice from a new test by its number.
+_NUMBERS = itertools.count(1)
 
 
 class TableProcess:
@@ -210,10 +156,17 @@ class TableProcess:
             gc.collect()
             gc.disable()
             try:
-                period.run(observation.astype(float), count, on_period)
+                follows = real_time(self.controller.pid, self.deadline) if self.paced else nullcontext()
+                with follows as machine:
+                    if machine is not None:
+                        machine.gap = longest_gap(BEFORE)
+                    began = period.run(observation.astype(float), count, on_period)
             finally:
                 if collecting:
                     gc.enable()
+        if machine is not None:
+            test.machine = machine
+            test.mark_stalls(began, self.deadline)
         return test
 
     @property
@@ -272,7 +225,8 @@ class _Periods:
         self._ignored = 0  # measurements, as the newest command tells
         self._happened: list[str] = []
 
-    def run(self, observation: FloatArray, count: int, on_period: Callable[[float], None]) -> None:
+    def run(self, observation: FloatArray, count: int, on_period: Callable[[float], None]) -> float:
+        """Run them; return the instant of the clock at which the first was to begin [s]."""
         table, test, period = self._table, self._test, self._table.scenario.control_period
         began = time.perf_counter() + period
         shown_at = began
@@ -325,6 +279,7 @@ class _Periods:
         if ended is not None:
             test.samples.append(table.sample(self._stuck_at(observation, len(test.rows)), *ended))
         test.injected += self._link.injected
+        return began
 
     def _note(self, event: str) -> None:
         self._happened.append(event)

@@ -15,7 +15,8 @@ from agents.deployment.rehearsal.faults import FAULTS, LINK_FAULTS, Fault, Fault
 from agents.deployment.rehearsal.guard import HoldThenBrake
 from agents.deployment.rehearsal.log import draw_timing, recorded_log, write_periods
 from agents.deployment.rehearsal.rehearse import RehearsalPlan, rehearse, unnoticed
-from agents.deployment.rehearsal.table import Rehearsal, TableProcess
+from agents.deployment.rehearsal.rehearsed import Rehearsal
+from agents.deployment.rehearsal.table import TableProcess
 from agents.laboratory.logs.findings import findings
 from agents.laboratory.logs.log_file import read_log
 from agents.laboratory.logs.recorder import LogRecorder
@@ -225,7 +226,7 @@ def test_faults_of_neighbouring_datagrams_are_each_in_the_log():
     assert missed == [5, 6, 12, 13, 20, 21, 31]
     # 22 comes twice and then 20 and 21, of which the command of 23 tells; the second 30, that of 32.
     assert [k for k, text in enumerate(events) if "measurement ignored" in text] == [23, 32]
-    assert test.own_misses() == 0
+    assert test.own_misses() == []
 
 
 @pytest.mark.parametrize("runs", ["c", "python"])
@@ -328,10 +329,10 @@ def test_a_fault_that_nobody_noticed_is_named():
     rows = [["command", "", "command lost"], ["hold", "no command in time; hold", "measurement late"]]
     test = Rehearsal(make_scenario("laboratory"), columns, rows)
     assert unnoticed(test) == ["command lost in period 0"]
-    assert test.own_misses() == 0  # the one miss was injected
+    assert test.own_misses() == []  # the one miss was injected
     rows += [["hold", "no command in time; hold", ""], ["command", "", "controller dies"]]
     rows += [["hold", "no command in time; hold", ""]]
-    assert test.own_misses() == 1  # the first of these, before the controller died
+    assert test.own_misses() == [2]  # the first of these, before the controller died
     rows[:] = [["command", "", "measurement duplicated"], ["hold", "no command in time", ""]]
     assert unnoticed(test) == []  # no command came after it, which would have told
     rows.append(["command", "", ""])
