@@ -36,6 +36,7 @@ LAST_BIT, PERTURBED = 1e-7, 12  # relative change of an action, and number of su
 STEP, EXCEPTIONS = 1.2e-7, 1e-4
 SANITIZED = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 COMPILERS = ("gcc", "clang")
+EARTHQUAKES = 10
 PERIODS, RECORDS_PERIODS = 2000, 6000  # that are compared: 10 s at 200 Hz, on `records` 30 s
 
 
@@ -53,6 +54,7 @@ class Agreement:
     nearest: (
         float  # likewise from the nearest of the runs perturbed by `LAST_BIT`, Python's own included
     )
+    costs: int  # earthquakes whose costs are compared
     parted: float  # largest relative difference of a perturbed run's cost; 0 where none was needed
     random: int  # random observations, with NaN and infinities
     random_largest: float  # difference on the finite ones
@@ -75,8 +77,8 @@ def agreement(
     scenario: Scenario,
     *,
     supervised: bool = False,
-    earthquakes: int = 10,
-    looped: int = 2,
+    earthquakes: int = EARTHQUAKES,
+    looped: int = EARTHQUAKES,
     random: int = 3000,
 ) -> Agreement:
     """Compare a controller's program with the controller.
@@ -101,17 +103,9 @@ def agreement(
         finding.
     """
     program, controller = controller_program(name, scenario, supervised=supervised)
-    records = recorded_earthquakes(scenario)
-    quakes = [*noise_earthquakes(scenario, max(earthquakes - len(records), 0)), *records][:earthquakes]
+    quakes = compared_earthquakes(scenario, earthquakes)
     single = CompiledController(replace(program, precision="float32"))
-    ours, _ = rollout(single, scenario, quakes[:looped])
-    theirs, _ = rollout(controller, scenario, quakes[:looped])
-    given, own = (np.array([row.cost for row in rows]) for rows in (ours, theirs))
-    cost, nearest, parted = np.abs(given / own - 1.0), np.abs(given / own - 1.0), np.zeros(1)
-    if cost.max() >= COST:
-        perturbed = perturbed_costs(controller, scenario, quakes[:looped])
-        nearest = np.minimum(nearest, np.abs((given - perturbed) / own).min(axis=0))
-        parted = np.abs(perturbed / own - 1.0)
+    costs = compared_costs(program, controller, scenario, quakes[:looped])
     reference = widened(controller)
     periods = RECORDS_PERIODS if scenario.name == "records" else PERIODS
     decisions = record_decisions(reference, scenario, quakes, periods)
@@ -133,13 +127,11 @@ def agreement(
         largest=float(difference.max()),
         exceptions=int(np.sum(difference > EXACT)),
         single=float(differences(single, decisions).max()),
-        cost=float(cost.max()),
-        nearest=float(nearest.max()),
-        parted=float(parted.max()),
         random=random,
         random_largest=float(np.abs(outputs[taken] - actions[taken]).max()),
         random_refused=int(np.sum(~taken)),
         checked=memory_checks(program, decisions, rows[:: max(random // 300, 1)]),
+        **costs,
     )
 
 
@@ -161,6 +153,31 @@ class LastBit:
         action, state = self.controller.predict(observation, state, episode_start, deterministic)
         change = 1.0 + LAST_BIT * self.rng.standard_normal(action.shape)
         return (action * change).astype(np.float32), state
+
+
+def compared_earthquakes(scenario: Scenario, number: int) -> list[Earthquake]:
+    """Return filtered noise, as much as is needed, and the embedded records."""
+    records = recorded_earthquakes(scenario)
+    return [*noise_earthquakes(scenario, max(number - len(records), 0)), *records][:number]
+
+
+def compared_costs(
+    program: Program, controller: Controller, scenario: Scenario, earthquakes: Sequence[Earthquake]
+) -> dict[str, Any]:
+    """Return `cost`, `nearest`, `parted` and `costs` of an `Agreement`; arguments as there."""
+    single = CompiledController(replace(program, precision="float32"))
+    given, own = (
+        np.array([row.cost for row in rollout(each, scenario, earthquakes)[0]])
+        for each in (single, controller)
+    )
+    cost = nearest = np.abs(given / own - 1.0)
+    parted = np.zeros(1)
+    if cost.max() >= COST:
+        perturbed = perturbed_costs(controller, scenario, earthquakes)
+        nearest = np.minimum(cost, np.abs((given - perturbed) / own).min(axis=0))
+        parted = np.abs(perturbed / own - 1.0)
+    found = {"cost": cost, "nearest": nearest, "parted": parted}
+    return {name: float(each.max()) for name, each in found.items()} | {"costs": len(own)}
 
 
 def perturbed_costs(

@@ -40,6 +40,7 @@ def accuracy(result: dict[str, Any]) -> str:
             worst("largest"),
             str(exceptions),
             worst("single"),
+            str(sum(row["costs"] for row in own)),
             worst("cost"),
             worst("nearest"),
             f"{sum(row['random'] for row in own):,}".replace(",", " "),
@@ -48,7 +49,7 @@ def accuracy(result: dict[str, Any]) -> str:
         ))  # fmt: skip
     head = (
         "controller", "scenarios", "decisions", "double", "of one float32 step", "single",
-        "cost, single",
+        "costs", "cost, single",
         "from a run that differs in last bits", "random observations", "double", "no finding of",
     )  # fmt: skip
     scenarios = ", ".join(dict.fromkeys(f"`{row['scenario']}`" for row in result["rows"]))

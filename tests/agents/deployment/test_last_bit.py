@@ -23,7 +23,8 @@ def test_the_last_bit_of_an_action_changes_a_smooth_loops_cost_by_as_little():
 def test_a_cost_is_good_only_where_double_precision_has_it_too():
     found = Agreement(
         scenario="field", controller="lqg", decisions=10, largest=0.0, exceptions=0, single=1e-6,
-        cost=0.04, nearest=1e-4, parted=0.05, random=1, random_largest=0.0, random_refused=0, checked=(),
+        cost=0.04, nearest=1e-4, costs=2, parted=0.05, random=1, random_largest=0.0, random_refused=0,
+        checked=(),
     )  # fmt: skip
     assert found.good and not replace(found, nearest=0.01).good
 
