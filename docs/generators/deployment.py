@@ -50,7 +50,7 @@ def accuracy(result: dict[str, Any]) -> str:
     head = (
         "controller", "scenarios", "decisions", "double", "of one float32 step", "single",
         "costs", "cost, single",
-        "from a run that differs in last bits", "random observations", "double", "no finding of",
+        "outside of runs that differ in last bits", "random observations", "double", "no finding of",
     )  # fmt: skip
     scenarios = ", ".join(dict.fromkeys(f"`{row['scenario']}`" for row in result["rows"]))
     return (
