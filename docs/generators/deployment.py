@@ -40,14 +40,17 @@ def accuracy(result: dict[str, Any]) -> str:
             worst("largest"),
             str(exceptions),
             worst("single"),
+            str(sum(row["costs"] for row in own)),
             worst("cost"),
+            worst("nearest"),
             f"{sum(row['random'] for row in own):,}".replace(",", " "),
             worst("random_largest"),
             ", ".join(sorted({each for row in own for each in row["checked"]})),
         ))  # fmt: skip
     head = (
         "controller", "scenarios", "decisions", "double", "of one float32 step", "single",
-        "cost, single", "random observations", "double", "no finding of",
+        "costs", "cost, single",
+        "outside of runs that differ in last bits", "random observations", "double", "no finding of",
     )  # fmt: skip
     scenarios = ", ".join(dict.fromkeys(f"`{row['scenario']}`" for row in result["rows"]))
     return (
@@ -94,6 +97,8 @@ def rehearsals(result: list[dict[str, Any]]) -> str:
             str(injected),
             str(sum(len(test["faults"]) for test in each["unnoticed"])),
             str(each["deadline_misses_not_injected"]),
+            _known(each.get("while_the_machine_stalled")),
+            _known((first.get("machine") or {}).get("longest_stall_us")),
             str(each["hard_limits_broken"]),
             *(f"{first[name][key]:.0f}" for name in ("latency", "jitter")
               for key in ("median_us", "p99_us", "worst_us")),
@@ -103,6 +108,10 @@ def rehearsals(result: list[dict[str, Any]]) -> str:
     )
     head = (
         "rehearsal", "tests", "periods", "faults injected", "unnoticed", "misses not injected",
-        "limits broken", *times,
+        "of them in a stall", "longest stall [us]", "limits broken", *times,
     )  # fmt: skip
     return "Rehearsals of the C program `lqg` in `laboratory`.\n\n" + table(head, rows)
+
+
+def _known(number: float | None) -> str:
+    return "-" if number is None else f"{number:.0f}"

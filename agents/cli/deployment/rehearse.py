@@ -113,8 +113,29 @@ def print_rehearsal(result: dict[str, Any], console: Console) -> None:
         if first[name]
     ]
     print_table(console, ("first test", "median [us]", "99 % [us]", "worst [us]"), rows)
+    if first["machine"]:
+        console.print(_machine(first), highlight=False)
     counts = [(name, str(count)) for name, count in result["events"].items()]
     print_table(console, ("noticed by the table", "periods"), counts or [("nothing", "0")])
     if result["injected"]:
         given = [(name, str(count)) for name, count in result["injected"].items()]
         print_table(console, ("injected", "number"), given)
+
+
+def _machine(first: dict[str, Any]) -> str:
+    """Return what is known of the machine that ran a test, in words."""
+    machine, missed = first["machine"], first["deadline_misses_not_injected"]
+    before = (
+        f"gaps of up to {machine['clock_gap_us']:.0f} us of a loop that only read the clock before it"
+    )
+    if not machine["real_time"]:
+        return f"first test: without real-time priority, which the system did not permit; {before}"
+    table, controller = machine["cores"]
+    text = f"first test: real-time priority, table on core {table}, controller on {controller}; {before}"
+    if machine["stalls"] is None:
+        return f"{text}; not watched in it, for want of a higher priority"
+    longest, within = machine["longest_stall_us"], first["while_the_machine_stalled"]
+    return (
+        f"{text}; {machine['stalls']} stalls of up to {longest:.0f} us in it; of {missed} "
+        f"deadline misses not injected, {within} in a stall"
+    )

@@ -14,3 +14,21 @@ def wait_until(instant: float) -> None:
         time.sleep(left - SPIN)
     while time.perf_counter() < instant:
         pass
+
+
+def longest_gap(seconds: float) -> float:
+    """Return the longest time [s] between two readings of the clock by a loop that does nothing else.
+
+    Parameters
+    ----------
+    seconds
+        For which it runs.
+    """
+    before = time.perf_counter()
+    end, longest = before + seconds, 0.0
+    while before < end:
+        now = time.perf_counter()
+        if now - before > longest:
+            longest = now - before
+        before = now
+    return longest

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import queue
 import socket
@@ -18,6 +19,7 @@ from agents.deployment.rehearsal.datagram import (
     BEGINS,
     COMMAND,
     ENDS,
+    IGNORED_SHIFT,
     MEASUREMENT,
     REFUSED,
     Datagram,
@@ -39,6 +41,11 @@ class ControllerProcess(Protocol):
     """A process that answers measurements on a port of the loopback."""
 
     port: int
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        ...
 
     def kill(self) -> None:
         """End it at once, as a crash does."""
@@ -93,6 +100,11 @@ class CProcess:
             raise ShakeError("controller process", self._command, "did not start")
         self.port = int(line)
 
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
     def restart(self) -> None:
         """Start the program again after it was killed."""
         self.kill()
@@ -129,6 +141,12 @@ class PythonProcess:
             self.kill()
             raise ShakeError("controller process", self._arguments[0], "did not start") from None
 
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        assert self._process.pid is not None  # it was started
+        return self._process.pid
+
     def restart(self) -> None:
         """Start the process again after it was killed."""
         self.kill()
@@ -149,6 +167,8 @@ def _serve(name: str, scenario: Scenario, supervised: bool, ports: Any) -> None:
     if supervised:
         controller = Supervised(controller, scenario)
     decide(controller, np.zeros((1, scenario.observation.size), np.float32))  # compile and load, once
+    gc.collect()
+    gc.freeze()  # what is there by now is not looked through again
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as endpoint:
         endpoint.bind((LOOPBACK, 0))
         endpoint.settimeout(PATIENCE)
@@ -159,13 +179,15 @@ def _serve(name: str, scenario: Scenario, supervised: bool, ports: Any) -> None:
 def serve(controller: Controller, scenario: Scenario, endpoint: socket.socket) -> None:
     """Answer measurements with commands until a datagram says that it is the end.
 
-    One decision a period, from the newest measurement: what is repeated, out of order or corrupt is not
-    answered.
+    One decision a period, from the newest measurement: what is repeated, out of order, corrupt or of a
+    test whose start has not come is not answered, and counted in the upper byte of the next command's
+    flags.
     """
     scales = np.array([channel.scale for channel in observation_channels(scenario)])
     limit = current_channel(scenario).scale
     memory: tuple[Any, ...] | None = None
-    last = -1
+    test: int | None = None  # number of the present one
+    last = ignored = 0
     while True:
         try:
             data, peer = endpoint.recvfrom(65536)
@@ -173,22 +195,26 @@ def serve(controller: Controller, scenario: Scenario, endpoint: socket.socket) -
             return
         given = unpack(data)
         if given is None or given.kind != MEASUREMENT or len(given.channels) != len(scales):
+            ignored += 1
             continue
         if given.flags & ENDS:
             return
-        begins = bool(given.flags & BEGINS)
-        if not begins and given.sequence <= last:
+        begins = bool(given.flags & BEGINS) and given.test != test
+        if begins:
+            test, ignored = given.test, 0
+        elif given.test != test or given.sequence <= last:
+            ignored += 1
             continue
         last = given.sequence
         observation = (given.channels / scales).astype(np.float32)[None]
-        action, flags = 0.0, 0
+        action, flags = 0.0, (ignored & 0xFF) << IGNORED_SHIFT
         if not np.isfinite(observation).all() and not isinstance(controller, Supervised):
-            flags = REFUSED
+            flags |= REFUSED
         else:
             chosen, memory = decide(controller, observation, memory, np.array([begins]))
             action = float(chosen[0, 0])
             if not np.isfinite(action):
-                action, flags = 0.0, REFUSED
+                action, flags = 0.0, flags | REFUSED
         command = Datagram(
             COMMAND, given.sequence, given.time, np.array([limit * action]), flags, given.test
         )

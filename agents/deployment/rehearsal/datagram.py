@@ -8,11 +8,12 @@ bytes  type   what
 0-3    char   ``SHK1``
 4      uint8  kind: 1 measurement (to the controller), 2 command (to the table)
 5      uint8  version of the layout: 1
-6-7    uint16 flags: 1 a test begins, 2 the controller refused the measurement, 4 the end
+6-7    uint16 flags: 1 a test begins, 2 the controller refused the measurement, 4 the end; of a
+              command the upper byte counts the datagrams of the test that were not answered
 8-11   uint32 sequence number: control period since the test's start
 12-19  double time since the test's start [s]; a command repeats its measurement's
 20-21  uint16 number n of channels
-22-23  uint16 number of the test
+22-23  uint16 number of the test, another one than that of the test before
 24-    double channels in SI, n of them, in the order of the program's header
 24+8n  uint32 CRC-32 (IEEE 802.3, as zlib computes it) of everything before
 ====== ====== ==========================================================================
@@ -32,6 +33,7 @@ from shake_env.model.parameters import FloatArray
 MAGIC, VERSION = b"SHK1", 1
 MEASUREMENT, COMMAND = 1, 2
 BEGINS, REFUSED, ENDS = 1, 2, 4
+IGNORED_SHIFT = 8  # bits, of the count in a command's flags
 HEADER = struct.Struct("<4sBBHIdHH")
 CHECK = struct.Struct("<I")
 LARGEST = 1400  # bytes; what one Ethernet frame carries

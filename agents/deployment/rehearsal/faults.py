@@ -83,7 +83,8 @@ def draw_faults(
 class FaultyLink:
     """A datagram socket that does to datagrams what a plan of faults says.
 
-    A late datagram is kept back by `late_by` seconds; a reordered one until the next has passed.
+    A late datagram is kept back by `late_by` seconds; a reordered one until one that is not has passed,
+    so that reordered neighbours both come after a later one.
     """
 
     endpoint: socket.socket
@@ -94,9 +95,7 @@ class FaultyLink:
     _waiting: dict[str, list[tuple[float, int, bytes]]] = field(
         default_factory=lambda: {"measurement": [], "command": []}
     )
-    _held: dict[str, bytes | None] = field(
-        default_factory=lambda: {"measurement": None, "command": None}
-    )
+    _held: dict[str, list[bytes]] = field(default_factory=lambda: {"measurement": [], "command": []})
     _order: count[int] = field(default_factory=count)
 
     def send(self, period: int, data: bytes, now: float) -> str:
@@ -135,6 +134,9 @@ class FaultyLink:
         if fault:
             self.injected[fault] += 1
         held, passed = self._held[way], [data]
+        if fault == "reordered":
+            held.append(data)
+            return []
         if fault == "lost":
             passed = []
         elif fault == "late":
@@ -144,10 +146,7 @@ class FaultyLink:
             passed = [data, data]
         elif fault == "corrupt":
             passed = [data[:-9] + bytes([data[-9] ^ 0x40]) + data[-8:]]
-        elif fault == "reordered" and held is None:
-            self._held[way] = data
-            return []
-        if held is not None and passed:
-            passed.append(held)
-            self._held[way] = None
+        if passed:
+            passed += held
+            held.clear()
         return passed

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.deployment.rehearsal.table import Rehearsal
+from agents.deployment.rehearsal.rehearsed import Rehearsal
 from agents.laboratory.logs.test_log import LEAST, TestLog, text_of_scenario
 from shake_env.files import write_text
 from shake_env.scenario.digest import scenario_digest

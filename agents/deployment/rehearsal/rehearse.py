@@ -11,7 +11,8 @@ from typing import Any
 from agents.deployment.rehearsal.controller_process import Runs, start_controller
 from agents.deployment.rehearsal.faults import CONTROLLER_DIES, SENSOR_STICKS, draw_faults
 from agents.deployment.rehearsal.log import draw_timing, recorded_log, write_periods
-from agents.deployment.rehearsal.table import Rehearsal, TableProcess
+from agents.deployment.rehearsal.rehearsed import IGNORED, NO_COMMAND, Rehearsal
+from agents.deployment.rehearsal.table import TableProcess
 from agents.laboratory.logs.hdf5_file import import_library
 from agents.laboratory.logs.log_file import write_log
 from shake_env.errors import ParameterError
@@ -139,9 +140,10 @@ def unnoticed(test: Rehearsal) -> list[str]:
     """Return the injected faults of a test that the table did not notice by itself, in words.
 
     A datagram that is lost, late, out of order or corrupt leaves its period without a command; a command
-    that comes twice is noticed as that; a dead controller leaves every period without one; a sensor that
-    sticks is found faulty within `NOTICED` periods. A measurement that the controller gets twice has no
-    effect that could be noticed.
+    that comes twice is noticed as that; a measurement that comes twice is ignored once, as the next
+    command tells; a dead controller leaves every period without a command; a sensor that sticks is found
+    faulty within `NOTICED` periods. Of a test's last periods nothing can tell what the next would have
+    shown.
     """
     injected, events = (test.columns.index(name) for name in ("injected", "events"))
     missed = []
@@ -151,10 +153,15 @@ def unnoticed(test: Rehearsal) -> list[str]:
             if fault == SENSOR_STICKS:
                 noticed = any(text.startswith("faulty sensor") for text in later)
                 noticed = noticed or len(test.rows) < k + NOTICED
-            elif fault.endswith("duplicated"):
-                noticed = "measurement" in fault or "command repeated" in later
+            elif fault == "command duplicated":
+                noticed = "command repeated" in later
+            elif fault == "measurement duplicated":
+                answered = (
+                    each[events] for each in test.rows[k + 1 :] if NO_COMMAND not in each[events]
+                )
+                noticed = IGNORED in next(answered, IGNORED)
             else:
-                noticed = "no command in time" in row[events] or "corrupt datagram" in row[events]
+                noticed = NO_COMMAND in row[events] or "corrupt datagram" in row[events]
             if not noticed:
                 missed.append(f"{fault} in period {k}")
     return missed
@@ -167,6 +174,7 @@ def _result(
     for test in tests:
         events += test.events
         injected += test.injected
+    stalled = [test.stalled_misses() for test in tests]
     return {
         "controller": name,
         "runs": plan.runs,
@@ -177,6 +185,7 @@ def _result(
         "events": dict(sorted(events.items())),
         "injected": dict(sorted(injected.items())),
         "unnoticed": missed,
-        "deadline_misses_not_injected": sum(test.own_misses() for test in tests),
+        "deadline_misses_not_injected": sum(len(test.own_misses()) for test in tests),
+        "while_the_machine_stalled": None if None in stalled else sum(filter(None, stalled)),
         "first_test": tests[0].summary(),
     }

@@ -7,20 +7,28 @@ and the table stepped. All that is timed is timed here, by one clock.
 from __future__ import annotations
 
 import gc
+import itertools
 import select
 import socket
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from contextlib import nullcontext
+from dataclasses import replace
 
 import numpy as np
 
 from agents.deployment.channels import observation_channels
-from agents.deployment.rehearsal.clock import wait_until
+from agents.deployment.rehearsal.clock import longest_gap, wait_until
 from agents.deployment.rehearsal.controller_process import LOOPBACK, ControllerProcess
-from agents.deployment.rehearsal.datagram import BEGINS, COMMAND, MEASUREMENT, REFUSED, Datagram, unpack
+from agents.deployment.rehearsal.datagram import (
+    BEGINS,
+    COMMAND,
+    IGNORED_SHIFT,
+    MEASUREMENT,
+    REFUSED,
+    Datagram,
+    unpack,
+)
 from agents.deployment.rehearsal.exported_table import ExportedTable
 from agents.deployment.rehearsal.faults import (
     CONTROLLER_DIES,
@@ -31,6 +39,8 @@ from agents.deployment.rehearsal.faults import (
     FaultyLink,
 )
 from agents.deployment.rehearsal.guard import HoldThenBrake
+from agents.deployment.rehearsal.real_time import real_time
+from agents.deployment.rehearsal.rehearsed import IGNORED, NO_COMMAND, Rehearsal
 from shake_env.kernels.layout import REPORT
 from shake_env.model.parameters import FloatArray
 from shake_env.rollout import Earthquake
@@ -50,61 +60,10 @@ TIMES = (
     "time [s]", "sequence [-]", "jitter [us]", "latency [us]", "asked [A]", "current [A]",
 )  # fmt: skip
 
-NO_COMMAND = "no command in time"
 TEXTS = ("mode", "events", "injected")
-
-
-@dataclass
-class Rehearsal:
-    """What a rehearsed test was."""
-
-    scenario: Scenario  # with the test's motion
-    columns: tuple[str, ...]  # of `rows`, names with units
-    rows: list[list[Any]] = field(default_factory=list)  # one a control period
-    channels: tuple[str, ...] = ()  # of `samples`: those that a laboratory's recorder measures
-    samples: list[list[float]] = field(default_factory=list)  # at each period's end [SI]
-    events: Counter[str] = field(default_factory=Counter)  # what the table noticed
-    injected: Counter[str] = field(default_factory=Counter)  # what the plan of faults did
-    broken_limit: str | None = None
-
-    def column(self, name: str) -> FloatArray:
-        """Return a column of numbers; NaN where a period has none."""
-        place = [text.split(" [")[0] for text in self.columns].index(name)
-        return np.array([np.nan if row[place] == "" else float(row[place]) for row in self.rows])
-
-    def own_misses(self) -> int:
-        """Return the periods without a command in time that no injected fault explains."""
-        injected, events = (self.columns.index(name) for name in ("injected", "events"))
-        alive, count = True, 0
-        for row in self.rows:
-            alive = alive and CONTROLLER_DIES not in row[injected]
-            explained = not alive or any(fault in row[injected] for fault in LINK_FAULTS)
-            count += NO_COMMAND in row[events] and not explained
-        return count
-
-    def summary(self) -> dict[str, Any]:
-        """Return counts, and quantiles of latency and jitter [us], as plain values."""
-        latency, jitter = self.column("latency"), np.abs(self.column("jitter"))
-        latency = latency[np.isfinite(latency)]
-
-        def quantiles(values: FloatArray) -> dict[str, float] | None:
-            if not len(values):
-                return None
-            median, high, most = np.quantile(values, [0.5, 0.99, 1.0])
-            return {"median_us": float(median), "p99_us": float(high), "worst_us": float(most)}
-
-        return {
-            "scenario": self.scenario.name,
-            "periods": len(self.rows),
-            "period": self.scenario.control_period,
-            "broken_limit": self.broken_limit,
-            "deadline_misses": self.events[NO_COMMAND],
-            "deadline_misses_not_injected": self.own_misses(),
-            "events": dict(sorted(self.events.items())),
-            "injected": dict(sorted(self.injected.items())),
-            "latency": quantiles(latency),
-            "jitter": quantiles(jitter),
-        }
+BEFORE = 0.5  # [s] for which the clock is read before a test that follows it
+# Of tests: a controller tells a start that comes twice from a new test by its number.
+_NUMBERS = itertools.count(1)
 
 
 class TableProcess:
@@ -151,7 +110,7 @@ class TableProcess:
         self._recorded = ("target_acceleration", "current", *self._added, *measured)
         self._simulation = Simulation(scenario, 1)
         self._exported = ExportedTable(scenario, self._simulation) if exported else None
-        self._tests = 0
+        self._test = 0
 
     def run(
         self,
@@ -174,7 +133,7 @@ class TableProcess:
             Told the share of the test that is done, twice a second; not where periods follow the clock,
             which what it does would delay.
         """
-        simulation, self._tests = self._simulation, self._tests + 1
+        simulation, self._test = self._simulation, next(_NUMBERS)
         simulation.start([0], [np.random.default_rng(earthquake.seed)], [earthquake.motion])
         count = int(simulation.episode_steps[0])
         count = count if periods is None else min(count, periods)
@@ -197,16 +156,23 @@ class TableProcess:
             gc.collect()
             gc.disable()
             try:
-                period.run(observation.astype(float), count, on_period)
+                follows = real_time(self.controller.pid, self.deadline) if self.paced else nullcontext()
+                with follows as machine:
+                    if machine is not None:
+                        machine.gap = longest_gap(BEFORE)
+                    began = period.run(observation.astype(float), count, on_period)
             finally:
                 if collecting:
                     gc.enable()
+        if machine is not None:
+            test.machine = machine
+            test.mark_stalls(began, self.deadline)
         return test
 
     @property
     def test(self) -> int:
         """Number of the present test."""
-        return self._tests
+        return self._test
 
     def step(self, current: float) -> tuple[FloatArray, list[float], str | None, bool]:
         """Step the table; return observation, signals, the limit that broke, and whether it ends."""
@@ -256,9 +222,11 @@ class _Periods:
         self._sticks = {fault.period: fault.channel for fault in faults if fault.kind == SENSOR_STICKS}
         self._stuck: dict[int, tuple[int, float]] = {}  # place: (until, value)
         self._newest = -1
+        self._ignored = 0  # measurements, as the newest command tells
         self._happened: list[str] = []
 
-    def run(self, observation: FloatArray, count: int, on_period: Callable[[float], None]) -> None:
+    def run(self, observation: FloatArray, count: int, on_period: Callable[[float], None]) -> float:
+        """Run them; return the instant of the clock at which the first was to begin [s]."""
         table, test, period = self._table, self._test, self._table.scenario.control_period
         began = time.perf_counter() + period
         shown_at = began
@@ -311,6 +279,7 @@ class _Periods:
         if ended is not None:
             test.samples.append(table.sample(self._stuck_at(observation, len(test.rows)), *ended))
         test.injected += self._link.injected
+        return began
 
     def _note(self, event: str) -> None:
         self._happened.append(event)
@@ -377,5 +346,9 @@ class _Periods:
             self._note("command late")
         else:
             self._newest = given.sequence
+            ignored = given.flags >> IGNORED_SHIFT
+            if ignored != self._ignored:
+                self._note(IGNORED)
+            self._ignored = ignored
             return float(given.channels[0])
         return None

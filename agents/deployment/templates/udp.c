@@ -4,8 +4,9 @@
  *
  * The datagram, little-endian (the machine must be, too):
  *   0 "{{ magic }}", 4 kind ({{ measurement }} measurement, {{ command }} command), 5 version {{ version }},
- *   6 flags ({{ begins }} a test begins, {{ refused }} refused, {{ ends }} the end), 8 sequence number, 12 time [s],
- *   20 number n of channels, 22 number of the test, {{ header }} channels in SI, {{ header }} + 8 n CRC-32.
+ *   6 flags ({{ begins }} a test begins, {{ refused }} refused, {{ ends }} the end; of a command, the upper byte counts the
+ *   measurements of the test that were not answered), 8 sequence number, 12 time [s], 20 number n of
+ *   channels, 22 number of the test, {{ header }} channels in SI, {{ header }} + 8 n CRC-32.
  */
 #define _POSIX_C_SOURCE 200112L
 #include "{{ name }}.h"
@@ -15,6 +16,7 @@
 #include <stdint.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/mman.h>
 #include <sys/socket.h>
 #include <sys/time.h>
 #include <unistd.h>
@@ -26,6 +28,7 @@
 
 static {{ name }}_t memory;
 static uint32_t crc_table[256];
+static uint32_t ignored; /* datagrams of this test that were not answered */
 
 static void make_crc_table(void)
 {
@@ -68,7 +71,7 @@ static void answer(const unsigned char *in, unsigned char *out)
 {
     {{ name }}_real inputs[{{ NAME }}_INPUTS], outputs[{{ NAME }}_OUTPUTS];
     const uint16_t count = {{ NAME }}_OUTPUTS;
-    uint16_t flags = 0;
+    uint16_t flags = (uint16_t)((ignored & 0xFFU) << 8);
     uint32_t check;
 
     for (int i = 0; i < {{ NAME }}_INPUTS; i++) {
@@ -78,7 +81,7 @@ static void answer(const unsigned char *in, unsigned char *out)
         inputs[i] = ({{ name }}_real)value;
     }
     if ({{ name }}_step_si(&memory, inputs, outputs) != {{ NAME }}_OK) {
-        flags = {{ refused }};
+        flags = (uint16_t)(flags | {{ refused }}U);
     }
     memcpy(out, in, HEADER);
     out[4] = {{ command }};
@@ -100,6 +103,7 @@ int main(void)
     socklen_t length = sizeof own;
     unsigned char in[IN_SIZE + 1], out[OUT_SIZE];
     uint32_t last = 0;
+    uint16_t test = 0;
     int running = 0;
     const int s = socket(AF_INET, SOCK_DGRAM, 0);
 
@@ -112,6 +116,7 @@ int main(void)
         perror("socket");
         return 1;
     }
+    (void)mlockall(MCL_CURRENT | MCL_FUTURE); /* where it is permitted: no page is fetched in a test */
     make_crc_table();
     {{ name }}_init(&memory);
     printf("%d\n", (int)ntohs(own.sin_port));
@@ -119,24 +124,31 @@ int main(void)
     for (;;) {
         socklen_t size = sizeof other;
         const ssize_t got = recvfrom(s, in, sizeof in, 0, (struct sockaddr *)&other, &size);
-        uint16_t flags;
+        uint16_t flags, number;
         uint32_t sequence;
 
         if (got < 0) {
             break;
         }
         if (is_measurement(in, got) == 0) {
+            ignored++;
             continue;
         }
         memcpy(&flags, &in[6], 2);
         memcpy(&sequence, &in[8], 4);
+        memcpy(&number, &in[22], 2);
         if ((flags & {{ ends }}U) != 0U) {
             break;
         }
-        if ((flags & {{ begins }}U) != 0U) {
+        if ((flags & {{ begins }}U) != 0U && (running == 0 || number != test)) {
             {{ name }}_reset(&memory);
-        } else if (running == 0 || sequence <= last) {
+            test = number;
+            ignored = 0;
+        } else if (running == 0 || number != test || sequence <= last) {
+            ignored++;
             continue; /* repeated or out of order: one decision a period, from the newest measurement */
+        } else {
+            /* the next period of the test */
         }
         running = 1;
         last = sequence;

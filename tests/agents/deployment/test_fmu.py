@@ -2,6 +2,7 @@
 
 import shutil
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -73,6 +74,69 @@ def test_the_tables_fmu_moves_as_the_simulated_table(case, version, tmp_path):
     size = np.abs(expected).max(axis=0)
     np.testing.assert_allclose(outputs / size, np.array(expected) / size, atol=1e-9)
     assert size[0] > 1e-3
+
+
+def unit_of(file, folder):
+    """An instance of an FMU of FMI 3.0, begun, with a function that steps it: inputs in, outputs out."""
+    from fmpy.fmi3 import FMU3Slave
+
+    where = fmpy.extract(str(file), str(folder))
+    description = fmpy.read_model_description(where)
+    references = {
+        causality: [v.valueReference for v in description.modelVariables if v.causality == causality]
+        for causality in ("input", "output")
+    }
+    unit = FMU3Slave(
+        guid=description.guid, unzipDirectory=where, instanceName=file.name,
+        modelIdentifier=description.coSimulation.modelIdentifier,
+    )  # fmt: skip
+    unit.instantiate()
+    unit.enterInitializationMode()
+    unit.exitInitializationMode()
+
+    def step(k, period, values):
+        unit.setFloat64(references["input"], list(values))
+        unit.doStep(k * period, period)
+        return np.array(unit.getFloat64(references["output"]))
+
+    return unit, step
+
+
+def test_a_master_closes_the_loop_of_controller_and_table(tmp_path):
+    """Sensors without noise and offset: the loop of two FMUs is the simulation's."""
+    scenario = make_scenario("laboratory", {"duration": 1.0})
+    sensors = tuple(
+        replace(each, noise=0.0, bias=0.0, gain_error=0.0) for each in scenario.sensing.sensors
+    )
+    scenario = replace(scenario, sensing=replace(scenario.sensing, sensors=sensors))
+    programs = [controller_program("pid", scenario)[0], plant_program(scenario)]
+    made = [
+        unit_of(write_fmu(program, tmp_path / f"{name}.fmu"), tmp_path / name)
+        for name, program in zip(("controller", "table"), programs, strict=True)
+    ]
+    expected = record_decisions(
+        controller_program("pid", scenario)[1], scenario, noise_earthquakes(scenario, 1)
+    )
+    inputs, outputs = (
+        [channel.name for channel in each] for each in (programs[0].inputs, programs[1].outputs)
+    )
+    scales = np.array([channel.scale for channel in programs[0].inputs])
+    measured = {name: inputs.index(name) for name in outputs if name.startswith("measured")}
+    last, readings, current, currents = inputs.index("last action"), np.zeros(len(outputs)), 0.0, []
+    for k, shown in enumerate(expected.observations[:, 0].astype(float)):
+        given = shown * scales  # the target's part is known before the test
+        given[list(measured.values())] = [readings[outputs.index(name)] for name in measured]
+        given[last] = current / scenario.current_limit
+        current = made[0][1](k, scenario.control_period, given)[0]
+        currents.append(current)
+        readings = made[1][1](k, scenario.control_period, [current])
+    np.testing.assert_allclose(
+        np.array(currents) / scenario.current_limit, expected.actions[:, 0], atol=1e-6
+    )
+    assert np.ptp(currents) > 1e-3 * scenario.current_limit
+    for unit, _ in made:
+        unit.terminate()
+        unit.freeInstance()
 
 
 @pytest.mark.parametrize("version", VERSIONS)

@@ -2,6 +2,7 @@
 
 import csv
 import shutil
+import socket
 from collections import Counter
 
 import numpy as np
@@ -10,11 +11,12 @@ import pytest
 from agents.deployment.channels import identifier, observation_channels
 from agents.deployment.rehearsal.controller_process import start_controller
 from agents.deployment.rehearsal.datagram import BEGINS, COMMAND, MEASUREMENT, Datagram, unpack
-from agents.deployment.rehearsal.faults import FAULTS, LINK_FAULTS, FaultyLink, draw_faults
+from agents.deployment.rehearsal.faults import FAULTS, LINK_FAULTS, Fault, FaultyLink, draw_faults
 from agents.deployment.rehearsal.guard import HoldThenBrake
 from agents.deployment.rehearsal.log import draw_timing, recorded_log, write_periods
 from agents.deployment.rehearsal.rehearse import RehearsalPlan, rehearse, unnoticed
-from agents.deployment.rehearsal.table import Rehearsal, TableProcess
+from agents.deployment.rehearsal.rehearsed import Rehearsal
+from agents.deployment.rehearsal.table import TableProcess
 from agents.laboratory.logs.findings import channel_faults
 from agents.laboratory.logs.log_file import read_log
 from agents.laboratory.logs.recorder import LogRecorder
@@ -99,6 +101,16 @@ def test_the_link_does_what_the_plan_says():
     assert link.injected == Counter(
         {"lost": 1, "duplicated": 1, "late": 1, "reordered": 1, "corrupt": 1}
     )
+
+
+def test_reordered_neighbours_all_come_after_a_later_one():
+    wire = Wire()
+    plan = {1: "reordered", 2: "reordered", 3: "lost", 5: "reordered"}
+    link = FaultyLink(wire, ("", 0), {(k, "measurement"): v for k, v in plan.items()}, 0.5)
+    for k in range(7):
+        link.send(k, bytes([k]) * 20, float(k))
+    assert [data[0] for data in wire.sent] == [0, 4, 1, 2, 6, 5]
+    assert link.injected == Counter({"reordered": 3, "lost": 1})
 
 
 def test_drawn_faults_are_reproducible_and_of_the_rate():
@@ -189,6 +201,61 @@ def test_c_survives_every_fault_and_each_is_noticed(tmp_path):
 
 
 @needs_compiler
+def test_faults_of_neighbouring_datagrams_are_each_in_the_log():
+    scenario = make_scenario("laboratory", {"duration": 0.5})
+    plan = {
+        "command": {5: "reordered", 6: "reordered", 12: "reordered", 13: "lost", 14: "duplicated"},
+        "measurement": {
+            20: "reordered",
+            21: "reordered",
+            22: "duplicated",
+            30: "duplicated",
+            31: "lost",
+        },
+    }
+    faults = tuple(
+        Fault(period, kind, way) for way, kinds in plan.items() for period, kind in kinds.items()
+    )
+    process = start_controller("pid", scenario, "c", supervised=False)
+    try:
+        table = TableProcess(scenario, process, paced=False, deadline=0.2)
+        test = table.run(noise_earthquakes(scenario, 1)[0], faults, 40)
+    finally:
+        process.close()
+    assert unnoticed(test) == [] and sum(test.injected.values()) == len(faults)
+    events = [row[test.columns.index("events")] for row in test.rows]
+    missed = [k for k, text in enumerate(events) if "no command in time" in text]
+    assert missed == [5, 6, 12, 13, 20, 21, 31]
+    # 22 comes twice and then 20 and 21, of which the command of 23 tells; the second 30, that of 32.
+    assert [k for k, text in enumerate(events) if "measurement ignored" in text] == [23, 32]
+    assert test.own_misses() == []
+
+
+@pytest.mark.parametrize("runs", ["c", "python"])
+@needs_compiler
+def test_a_controller_answers_each_measurement_of_a_begun_test_once(runs):
+    scenario = make_scenario("laboratory")
+    channels = np.zeros(scenario.observation.size)
+    process = start_controller("pid", scenario, runs, supervised=False)
+    sent = [  # test, period, flags, and what the answer says of those ignored; None: no answer
+        (1, 5, 0, None), (7, 0, BEGINS, 0), (7, 0, BEGINS, None), (7, 1, 0, 1), (7, 1, 0, None),
+        (7, 0, BEGINS, None), (8, 2, 0, None), (7, 2, 0, 4), (8, 0, BEGINS, 0), (8, 1, 0, 0),
+    ]  # fmt: skip
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as endpoint:
+            endpoint.settimeout(20.0)
+            for test, period, flags, _ in sent:
+                data = Datagram(MEASUREMENT, period, 0.0, channels, flags, test).pack()
+                endpoint.sendto(data, ("127.0.0.1", process.port))
+            for test, period, _, ignored in sent:
+                if ignored is not None:
+                    answer = unpack(endpoint.recv(1000))
+                    assert (answer.test, answer.sequence, answer.flags) == (test, period, ignored << 8)
+    finally:
+        process.close()
+
+
+@needs_compiler
 @pytest.mark.parametrize("name", ["laboratory", "linear"])
 def test_without_faults_the_rehearsal_is_the_simulation(name):
     """The same currents as the controller gives in a roll-out, and the same log: nothing is lost."""
@@ -264,10 +331,14 @@ def test_a_fault_that_nobody_noticed_is_named():
     rows = [["command", "", "command lost"], ["hold", "no command in time; hold", "measurement late"]]
     test = Rehearsal(make_scenario("laboratory"), columns, rows)
     assert unnoticed(test) == ["command lost in period 0"]
-    assert test.own_misses() == 0  # the one miss was injected
+    assert test.own_misses() == []  # the one miss was injected
     rows += [["hold", "no command in time; hold", ""], ["command", "", "controller dies"]]
     rows += [["hold", "no command in time; hold", ""]]
-    assert test.own_misses() == 1  # the first of these, before the controller died
+    assert test.own_misses() == [2]  # the first of these, before the controller died
+    rows[:] = [["command", "", "measurement duplicated"], ["hold", "no command in time", ""]]
+    assert unnoticed(test) == []  # no command came after it, which would have told
+    rows.append(["command", "", ""])
+    assert unnoticed(test) == ["measurement duplicated in period 0"]
 
 
 def test_a_plan_out_of_range_is_refused():

@@ -20,7 +20,7 @@
 static void {{ N }}_posterior(const {{ b.type }} *s, real *weight, real *mass)
 {
     double evidence[{{ b.F }}];
-    double least = INFINITY, sum = 0.0;
+    double least = (double)INFINITY, sum = 0.0;
 
     for (int i = 0; i < {{ b.F }}; i++) {
         const double phi_phi = s->moments[2 * i], phi_f = s->moments[2 * i + 1];

@@ -270,7 +270,7 @@ static real {{ N }}_limit({{ b.type }} *s, const real *table, const real *deviat
     const int finite = isfinite(wanted) ? 1 : 0;
     const real asked = (finite != 0) ? clip(wanted, {{ -1.0|real }}, {{ 1.0|real }}) : {{ 0.0|real }};
     real margin[4], z[{{ b.columns }}], exact[{{ b.columns }}];
-    real upper = INFINITY, lower = -INFINITY, low, high, sent, change, brake;
+    real upper = (real)INFINITY, lower = (real)-INFINITY, low, high, sent, change, brake;
     int braking, acted;
 
     for (int i = 0; i < 4; i++) {
