@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
 
 from agents.plain_values import typed
@@ -12,8 +13,9 @@ from shake_env.files import file_errors
 LARGEST = 2**20  # [byte] of a progress file
 
 
-def log_of(run: Path) -> Path:
+def log_of(run: str | PathLike[str]) -> Path:
     """Return the file of what a run's worker prints."""
+    run = Path(run)
     return run.with_name(run.name + ".log")
 
 

@@ -7,6 +7,7 @@ what is done when they begin, and so does whether a trial is ended before its st
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -175,8 +176,9 @@ class _HandedTrial:
             write_bytes(self._sign, b"")
 
 
-def stop_sign(run: Path) -> Path:
+def stop_sign(run: str | os.PathLike[str]) -> Path:
     """Return the file whose presence ends a run in work."""
+    run = Path(run)
     return run.with_name(run.name + ".stop")
 
 
@@ -189,7 +191,7 @@ def carry_out(
     -------
     The outcome, see `outcome_of`, and the processor time [s].
     """
-    began, sign = time.process_time(), stop_sign(Path(run))
+    began, sign = time.process_time(), stop_sign(run)
 
     def end_if_asked(progress: Progress) -> None:
         if progress.steps < progress.total_steps and sign.exists():

@@ -27,6 +27,8 @@ from baselines.lqr.sampled import lqr
 from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario.scenario import Scenario
 
+REPORT_PERIOD = 0.5  # [s] between two reports of the progress, at least
+
 
 class TrainingWatch(BaseCallback):
     """Evaluates and checkpoints between roll-outs; changes nothing about the training.
@@ -84,7 +86,7 @@ class TrainingWatch(BaseCallback):
         if now - self.saved >= self.config.checkpoint_interval:
             save_checkpoint(self.run, self.model, self.tables)  # type: ignore[arg-type]  # one of `Model`
             self.saved = now
-        if now - self.reported >= 0.5:
+        if now - self.reported >= REPORT_PERIOD:
             self.tell()
             self.reported = now
 

@@ -13,6 +13,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from shake_env.scenario.toml_lines import TomlSource
 LARGEST = 10_000_000  # [bytes] of a JSON file; one of a hundred storeys has 10 000
 LARGEST_TOML = 1_000_000  # [bytes]
 ENTRIES = ("name", "fields", "observation", "scenarios")  # of a JSON file; the last two are not read
+MISSPELT = 0.85  # likeness to a known name from which another one is taken for an error
 SCHEMA = 1  # version of the TOML files
 SUFFIXES = (".toml", ".json")
 WHOLE = (("specimen",), ("motion",))  # sections of which one file says everything
@@ -215,7 +217,11 @@ def parse_toml(file: str | os.PathLike[str], text: str) -> Scenario:
 def _on_its_table(scenario: Scenario, tree: Node) -> Scenario:
     """Return a scenario on the table that a file names, before what else it says."""
     node = tree.parts.get("table")
-    if node is None or (node.value not in TABLE_NAMES and "actuator" in tree.parts):
+    if node is None:
+        return scenario
+    name = node.value if isinstance(node.value, str) else ""
+    misspelt = get_close_matches(name, TABLE_NAMES, 1, MISSPELT)
+    if node.value not in TABLE_NAMES and "actuator" in tree.parts and not misspelt:
         return scenario  # a table without a name here is what the file says of its actuator
     try:
         return on_table(scenario, named_table(node.value))

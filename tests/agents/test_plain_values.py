@@ -35,7 +35,8 @@ def test_a_dataclass_survives_json():
 def test_a_rehearsal_survives_json():
     rehearsal = Rehearsal(
         truth=3, values={"mass_ratio": 0.5}, inside={"1 energy": True}, errors=[0.2, 0.3], informed=0.2,
-        nominal=0.4, limits_broken=0, overridden=1, energy=1.0,
+        nominal=0.4, limits_broken=0, overridden=1, damage=1.5, iteration_damage=5.0,
+        iteration_error=None,
     )  # fmt: skip
     assert typed(Rehearsal, json.loads(json.dumps(asdict(rehearsal)))) == rehearsal
 

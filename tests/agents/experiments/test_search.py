@@ -99,6 +99,7 @@ def test_a_search_that_was_cut_ends_as_one_that_was_not(whole, tmp_path, late, t
 def test_time_ends_a_search_and_the_trial_stays(whole, tmp_path, monkeypatch):
     trace = search_training(SEARCH, tmp_path / "r.db", tmp_path, trials=3, minutes=1e-9)
     assert trace.trials == ()
+    monkeypatch.setattr("agents.training.watch.REPORT_PERIOD", 0.0)  # after every roll-out
     over = []
     clock = SimpleNamespace(
         monotonic=lambda: math.inf if over else time.monotonic(), process_time=time.process_time

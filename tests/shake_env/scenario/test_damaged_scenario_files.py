@@ -15,7 +15,7 @@ from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.scenario_file import parse_toml
 from shake_env.scenario.scenario_writer import scenario_toml
 
-WORDS = ("name", "train_on", "record")  # fields that are texts
+WORDS = ("name", "table", "train_on", "record")  # fields that are texts
 UNITS = ("kg", "m", "Pa", "s", "A", "N s/m", "m^3", "m/s^2", "kelvin", "mm^9")
 BYTES = tuple("\"#=[]{}.,-+0129eE_ \n\t\\'abc\x00\x7f\xe9")
 

@@ -175,3 +175,5 @@ def test_a_file_names_its_table_and_says_the_rest_on_top(write, tmp_path):
     assert own.table == "mine" and own.actuator.table_mass == 420.0
     with pytest.raises(ScenarioError, match=r"line 3, table = 'lnec': .*lnec-uniaxial"):
         make_scenario(write('base = "laboratory"\ntable = "lnec"\n'))
+    with pytest.raises(ScenarioError, match=r"line 2, table = 'lnec-uniaxil': did you mean 'lnec-uni"):
+        make_scenario(write('table = "lnec-uniaxil"\nactuator.table_mass = "420 kg"\n'))
