@@ -204,7 +204,7 @@ def carry_out(
 
 
 def outcome_of(
-    run: Path,
+    run: str | os.PathLike[str],
     is_default: bool,
     train: Callable[[], None],
     judge: Callable[[Controller], dict[str, Any]],
@@ -218,7 +218,7 @@ def outcome_of(
     """
     try:
         train()
-        return judge(load_policy(run / POLICY))
+        return judge(load_policy(Path(run) / POLICY))
     except PrunedError:
         return None
     except (ParameterError, ScenarioError, RunDirectoryError, FileError):

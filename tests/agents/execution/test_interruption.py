@@ -53,7 +53,12 @@ def test_an_interruption_ends_every_worker_without_a_traceback(engine, tmp_path)
         time.sleep(0.1)
     workers = [int(note.read_text()) for note in notes]
     os.killpg(command.pid, signal.SIGINT)
-    _, said = command.communicate(timeout=120)
+    try:
+        _, said = command.communicate(timeout=120)
+    finally:
+        if command.poll() is None:  # it must not outlive the test, nor its pipe
+            os.killpg(command.pid, signal.SIGKILL)
+            command.communicate()
     assert said.splitlines() == ["interrupted"]
     end = time.monotonic() + 30.0
     while any(map(alive, workers)) and time.monotonic() < end:
