@@ -13,10 +13,11 @@ from rich.markup import escape
 from agents.cli.command_options import CommandOptions, Flag
 from agents.cli.output_path import require_writable_file
 from agents.execution.options import ExecutionOptions
+from agents.plain_values import typed
 from agents.progress import progress_by_name
 from agents.reporting.terminal import print_table
 from agents.scenario_options import ScenarioOptions
-from shake_env.errors import ParameterError
+from shake_env.errors import FileError, ParameterError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,12 +188,17 @@ class SequenceCommand(CommandOptions):
         if self.output is not None:
             require_writable_file(self.output, "output")
         file = ResultFile(self.output, "shake sequence rehearse", scenario, options)
+        try:
+            done = [typed(Rehearsal, row) for row in file.rows]
+        except ValueError as error:
+            remedy = f"holds rows of another version ({error}): name another file"
+            raise FileError("output", str(self.output), remedy) from None
         with self.execution.open_runner() as runner, progress_by_name() as on_progress:
             rehearsals = rehearse_sequences(
                 scenario,
                 truths=self.truths,
                 runner=runner,
-                done=[Rehearsal(**row) for row in file.rows],
+                done=done,
                 on_row=lambda rehearsals: file.write_rows([asdict(each) for each in rehearsals]),
                 on_progress=on_progress,
                 **options,

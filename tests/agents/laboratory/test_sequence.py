@@ -200,6 +200,9 @@ def test_a_rehearsal_goes_on_from_its_result_file(tmp_path):
     other = parse(line.replace("--samples 4", "--samples 5").split())
     with pytest.raises(FileError, match="another options"):
         other.run(Console(quiet=True))
+    made.write_rows([{key: value for key, value in row.items() if key != "damage"}])
+    with pytest.raises(FileError, match=r"another version \(.*damage"):
+        parse(line.split()).run(Console(quiet=True))
     file.write_text("[]")
     with pytest.raises(FileError, match="no result of this study"):
         parse(line.split()).run(Console(quiet=True))
