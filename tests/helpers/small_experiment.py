@@ -8,6 +8,8 @@ from matplotlib.figure import Figure
 
 from agents.experiments import catalogue
 from agents.experiments.catalogue import ExperimentConfig
+from agents.experiments.search import open_search
+from agents.experiments.search_space import own_values, search_space
 from agents.scenario_options import ScenarioOptions
 from agents.training.algorithm_options import PPOOptions
 from agents.training.config import TrainConfig
@@ -40,3 +42,20 @@ def short_validation():
 def essence(trace):
     """What decides a trial and what came of it; numbers have gaps where a trial was cut."""
     return [(row.values, row.cost, row.ratio, row.lost, row.state, row.default) for row in trace.trials]
+
+
+def led_study(search, storage):
+    """The search with whole trials, and its study of five that reached a thousandth of the cost."""
+    search = replace(search, share=1.0)
+    study = open_search(search, storage)
+    knobs, own = search_space(TINY), own_values(TINY)
+    for _ in range(6):
+        study.enqueue_trial({knob.name: own[knob.name] for knob in knobs})
+    for _ in range(5):
+        before = study.ask()
+        for knob in knobs:
+            knob.suggest(before)
+        for place in range(21):
+            before.report(1e-3, place)
+        study.tell(before, 1e-3)
+    return search, study

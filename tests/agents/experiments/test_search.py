@@ -8,7 +8,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
-from small_experiment import SMALL, TINY, essence, short_validation
+from small_experiment import SMALL, TINY, essence, led_study, short_validation
 
 from agents.__main__ import main
 from agents.experiments import catalogue
@@ -129,19 +129,7 @@ def test_time_ends_a_search_and_the_trial_stays(whole, tmp_path, monkeypatch):
 @pytest.fixture
 def led(tmp_path):
     """A study, in Optuna's own storage, of five trials that reached a thousandth of the cost."""
-    search = replace(SEARCH, share=1.0)
-    study = open_search(search, tmp_path / "r.db")
-    knobs, own = search_space(TINY), own_values(TINY)
-    for _ in range(6):
-        study.enqueue_trial({knob.name: own[knob.name] for knob in knobs})
-    for _ in range(5):
-        before = study.ask()
-        for knob in knobs:
-            knob.suggest(before)
-        for place in range(21):
-            before.report(1e-3, place)
-        study.tell(before, 1e-3)
-    return search, study
+    return led_study(SEARCH, tmp_path / "r.db")
 
 
 def test_a_trial_behind_the_others_is_ended(led, tmp_path):

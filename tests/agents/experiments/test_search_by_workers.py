@@ -6,13 +6,12 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from small_experiment import TINY, essence, short_validation
+from small_experiment import TINY, essence, led_study, short_validation
 
 from agents.__main__ import main
 from agents.execution.local_executor import LocalExecutor
@@ -20,7 +19,7 @@ from agents.execution.options import ExecutionOptions
 from agents.experiments import catalogue
 from agents.experiments.search import open_search, search_training
 from agents.experiments.search_objective import ValidationSet
-from agents.experiments.search_space import Search, own_values, search_space, trial_config
+from agents.experiments.search_space import Search, trial_config
 from agents.experiments.search_work import carry_out, stop_sign
 from agents.policies.policy_file import load_policy
 from agents.run_directory import OWNER, POLICY, RESULT
@@ -132,18 +131,7 @@ def test_a_killed_workers_trial_is_tried_again(whole, tmp_path):
 
 
 def test_a_trial_of_a_worker_behind_the_others_is_ended(tmp_path):
-    search = replace(SEARCH, share=1.0)
-    study = open_search(search, tmp_path / "r.db")
-    knobs, own = search_space(TINY), own_values(TINY)
-    for _ in range(6):
-        study.enqueue_trial({knob.name: own[knob.name] for knob in knobs})
-    for _ in range(5):
-        before = study.ask()
-        for knob in knobs:
-            knob.suggest(before)
-        for place in range(21):
-            before.report(1e-3, place)
-        study.tell(before, 1e-3)
+    search, study = led_study(SEARCH, tmp_path / "r.db")
     trace = search_training(
         search, tmp_path / "r.db", tmp_path, trials=6, open_workers=lambda: LocalExecutor(1)
     )
