@@ -47,6 +47,9 @@ class RunExperiments(CommandOptions):
     """Whether the scenarios of these experiments are evaluated when their runs are done."""
     rerun: bool = False
     """Whether all rows are evaluated again, not only those of new policies."""
+    any_code: bool = False
+    """Whether runs count that other code, or other versions of the libraries, made or began; without it
+    they are named as failures and not gone on with."""
     dry_run: bool = False
     """Print what would be run, with the minutes expected, and do nothing."""
 
@@ -57,7 +60,7 @@ class RunExperiments(CommandOptions):
 
         if self.seeds is not None and self.seeds < 1:
             raise ParameterError("seeds", self.seeds, "must be at least 1")
-        tasks = plan_runs(EXPERIMENTS, self.folder, self.experiments, self.seeds)
+        tasks = plan_runs(EXPERIMENTS, self.folder, self.experiments, self.seeds, self.any_code)
         campaign = Campaign(tasks, self.execution.processes or 2)
         if self.dry_run:
             rows = plan_rows(tasks)

@@ -19,7 +19,7 @@ from agents.experiments.worker import train_run
 from agents.run_directory import CONFIG
 from agents.training.checkpoint import checkpoint_steps, checkpoints
 from agents.training.config import TrainConfig, require_same
-from agents.training.run import is_finished, require_beginnable
+from agents.training.run import is_finished, require_beginnable, require_this_code
 from shake_env.errors import RunDirectoryError, ScenarioError, unknown
 
 State = Literal["done", "begun", "waiting", "running", "failed", "foreign"]
@@ -38,6 +38,7 @@ class Task:
     seconds: float = 0.0  # since then
     cost_ratio: float | None = None
     failure: str = ""
+    any_code: bool = False  # whether a run counts that other code or versions made
 
     @property
     def name(self) -> str:
@@ -51,6 +52,8 @@ class Task:
                 require_beginnable(self.config, self.run)
                 return
             require_same(self.config, self.run, "move it away")
+            if not self.any_code:
+                require_this_code(self.run, "move it away, or count it with --any-code")
         except RunDirectoryError as error:  # also that of another version, or damaged
             self.state, self.failure = "foreign", str(error)
             return
@@ -181,6 +184,7 @@ def plan_runs(
     folder: str | PathLike[str],
     only: Sequence[str] = (),
     seeds: int | None = None,
+    any_code: bool = False,
 ) -> list[Task]:
     """Return the runs of a campaign with the state of each.
 
@@ -194,6 +198,8 @@ def plan_runs(
         Names or patterns, ``linear/ppo`` or ``linear/*``; none: all.
     seeds
         Seeds of each; None: as many as each experiment asks for.
+    any_code
+        Whether runs count that other code, or other versions of the libraries, made or began.
 
     Raises
     ------
@@ -210,7 +216,8 @@ def plan_runs(
         if only and not any(fnmatch(experiment.name, pattern) for pattern in only):
             continue
         for seed in range(experiment.seeds if seeds is None else seeds):
-            task = Task(experiment, experiment.with_seed(seed), folder / experiment.name / str(seed))
+            run = folder / experiment.name / str(seed)
+            task = Task(experiment, experiment.with_seed(seed), run, any_code=any_code)
             task.look()
             tasks.append(task)
     return tasks

@@ -15,6 +15,7 @@ import torch
 from threadpoolctl import threadpool_limits
 
 import shake_env
+from agents.execution.environment import environment
 from agents.plain_values import typed
 from agents.policies.policy_file import file_digest, load_policy
 from agents.progress import Progress
@@ -22,6 +23,7 @@ from agents.provenance import code_version
 from agents.run_directory import (
     BEST,
     CONFIG,
+    ENVIRONMENT,
     FIRST,
     POLICY,
     RESULT,
@@ -196,6 +198,26 @@ def is_finished(run: str | PathLike[str]) -> bool:
     return (run / POLICY).is_file()
 
 
+def require_this_code(run: str | PathLike[str], remedy: str) -> None:
+    """Raise RunDirectoryError unless a run was begun by the code and library versions of this process.
+
+    Raises
+    ------
+    RunDirectoryError
+        With what differs, or that the run has no file that says it, and the remedy.
+    """
+    run = Path(run)
+    file = run / ENVIRONMENT
+    if not file.exists():
+        reason = f"does not say which code made it: {remedy}"
+        raise RunDirectoryError("run directory", str(run), reason)
+    made, own = read_json(file, RunDirectoryError, "environment", largest=2**20), environment()
+    if differing := [name for name in own if made.get(name) != own[name]]:
+        pairs = [f"{name} {made.get(name)}, here {own[name]}" for name in differing]
+        reason = f"was made by other versions ({names_in_words(pairs)}): {remedy}"
+        raise RunDirectoryError("run directory", str(run), reason)
+
+
 def _new(config: TrainConfig, file: Path | None) -> tuple[Model, TrainingTables, Path | None]:
     """Return a new model on its tables, and the file of the policy that it begins with."""
     scenario = config.scenario.build()
@@ -216,6 +238,7 @@ def _describe(folder: Path, config: TrainConfig, first: Path | None) -> None:
     if first is not None and first != folder / FIRST:
         with replacing(folder / FIRST) as partial:
             shutil.copyfile(first, partial)
+    write_json(folder / ENVIRONMENT, environment())
     write_json(folder / CONFIG, config.to_json())
 
 

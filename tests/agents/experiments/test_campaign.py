@@ -106,6 +106,26 @@ def test_what_is_done_is_done_and_another_configuration_is_left_alone(campaigned
     assert plan_runs([GOOD], folder)[0].state == "done"
 
 
+@pytest.mark.parametrize("file", ["result.json", "config.json"])  # of a finished run, and of a begun one
+def test_a_run_of_other_code_counts_only_where_that_is_asked_for(campaigned, tmp_path, file):
+    folder = tmp_path / "campaign"
+    shutil.copytree(campaigned[0], folder)
+    run = folder / "linear/ppo/0"
+    if file == "config.json":
+        (run / "result.json").unlink()
+    state = plan_runs([GOOD], folder)[0].state
+    assert state == {"result.json": "done", "config.json": "begun"}[file]
+    made = json.loads((run / "environment.json").read_text())
+    for values in ({**made, "code": "0" * 16}, {**made, "numpy": "1.0"}, None):
+        (run / "environment.json").unlink()
+        if values is not None:
+            (run / "environment.json").write_text(json.dumps(values))
+        (task,) = plan_runs([GOOD], folder)
+        assert task.state == "foreign" and "--any-code" in task.failure
+        assert values is None or next(iter(set(values.values()) - set(made.values()))) in task.failure
+    assert plan_runs([GOOD], folder, any_code=True)[0].state == state
+
+
 def test_an_evaluation_holds_until_its_policies_change(campaigned, tmp_path, monkeypatch):
     monkeypatch.setattr("agents.experiments.results.evaluate", partial(evaluate, resamples=50))
     folder = tmp_path / "campaign"
