@@ -14,7 +14,6 @@ from agents.cli.output_path import require_storage, require_writable_file
 from agents.execution.options import ExecutionOptions
 from agents.progress import progress_bar, progress_by_name
 from agents.scenario_options import ScenarioOptions
-from shake_env.errors import ParameterError
 from shake_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -29,7 +28,7 @@ class Tune(CommandOptions):
 
     Try:
       shake tune lqg --scenario laboratory
-      shake tune pid --scenario laboratory --budget 1000000
+      shake tune pid --scenario laboratory --budget 1000000 --processes 2
       shake tune lqg --scenario laboratory --set actuator.table_mass=420 --output mytable.json
       shake compare --scenario laboratory --set actuator.table_mass=420 --tuned mytable.json
       shake tune controllers.py:MyController --output mine.json
@@ -66,9 +65,6 @@ class Tune(CommandOptions):
         require_storage(self.storage)
         kept_values(self.output)  # says before the search if it is another kind of file
         if self.controller != ALL:
-            if self.execution != ExecutionOptions():
-                remedy = "one search is one process: start the command again on the same --storage"
-                raise ParameterError("executor", self.execution.executor, remedy)
             return self._tune(self.controller, scenario, console)
 
         return self._tune_all(scenario, console)
@@ -106,7 +102,7 @@ class Tune(CommandOptions):
     def _tune(self, name: str, scenario: Scenario, console: Console) -> dict[str, Any]:
         from agents.experiments.controller_tuning import keep_tuned_values, kept_values, tune
 
-        with progress_bar() as progress:
+        with self.execution.open_workers() as executor, progress_bar() as progress:
             task = progress.add_task(f"tuning {name}", total=None)
 
             def on_trial(done: int, total: int, best: float) -> None:
@@ -119,6 +115,7 @@ class Tune(CommandOptions):
                 self.storage,
                 tuned=kept_values(self.output),
                 on_trial=on_trial,
+                executor=executor,
                 **self._search,
             )
         self._print(tuning, console)

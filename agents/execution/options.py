@@ -6,7 +6,7 @@ import os
 import shutil
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -75,9 +75,19 @@ class ExecutionOptions:
         ShakeError
             If the engine is not installed or cannot be reached.
         """
+        new = not self.folder.exists()
         with file_errors(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
-        number = self.processes or usual
+        try:
+            with self._executor(self.processes or usual) as executor:
+                yield executor
+        finally:
+            if new:  # what has no unit in it, such as after a refusal, does not stay
+                with suppress(OSError):
+                    self.folder.rmdir()
+
+    @contextmanager
+    def _executor(self, number: int) -> Iterator[Executor]:
         memory = MEMORY if self.worker_memory is None else self.worker_memory
         executor: Executor
         if self.executor == "local":

@@ -1,7 +1,6 @@
 """Search a classical controller's free parameters on validation earthquakes, within a stated budget.
 
-The search is Optuna's tree-structured Parzen estimator (Bergstra et al., 2011), seeded, its trace kept
-in SQLite: a search that was interrupted goes on where it stopped. The first trial is the default.
+The first trial is the default. A search that was interrupted goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from os import PathLike
@@ -19,19 +18,15 @@ from typing import Any
 import numpy as np
 
 import shake_env
+from agents.execution.executor import Executor
 from agents.execution.units import Unit, UnitRunner, report
-from agents.experiments.signs_of_life import pulse
-from agents.experiments.study_storage import (
-    is_shared,
-    may_begin,
-    open_study,
-    shared_sampler,
-    storage_errors,
-)
+from agents.execution.worker import Call
+from agents.experiments.parameter_search import search_parameters
+from agents.experiments.study_storage import is_shared, storage_errors
 from agents.policies.own_controller import is_own_controller, own_baseline, own_source
 from agents.run_directory import locked_folder
 from agents.seeds import VALIDATION_SEED
-from baselines.baseline import Baseline, Tunable
+from baselines.baseline import Baseline
 from baselines.registry import baseline_of, parameter_values
 from baselines.searched_lqg import LQG_SEARCHED, LQG_SEARCHED_FORCE, searched_baseline, searched_values
 from baselines.tuned_values import TunedEntry, TunedValues, read_tuned, write_tuned
@@ -80,6 +75,7 @@ def tune(
     seed: int = 0,
     tuned: TunedValues | None = None,
     on_trial: Callable[[int, int, float], None] = lambda done, total, best: None,
+    executor: Executor | None = None,
 ) -> TuningResult:
     """Search a controller's parameters for the least cost, or go on with that search.
 
@@ -103,6 +99,8 @@ def tune(
         Values that were found before; the search of the free design begins at them, too.
     on_trial
         Told the trials done, those in all, and the best cost, after each.
+    executor
+        Its workers simulate the trials, see `search_parameters`; None: this process.
 
     Raises
     ------
@@ -122,13 +120,15 @@ def tune(
     steps = round(noise.duration / scenario.control_period) * earthquakes
     steps *= candidate.tests
     total = trials_of(budget, steps)
-    quakes = [motions] if candidate.takes_earthquakes else []
     starts = [{each: t.default for each, t in tunable.items()}, *starting_points(name, scenario, tuned)]
-    if not quakes:
+    if not candidate.takes_earthquakes:
         candidate.make(scenario, **starts[0])  # says at once if the scenario does not suit it
 
     def cost(values: dict[str, float]) -> float:
-        return mean_cost(lambda: candidate.make(scenario, *quakes, **values), scenario, motions)
+        return _cost_of(candidate, scenario, motions, values)
+
+    def call(number: int, values: dict[str, float]) -> Call:
+        return Call(f"{name}, trial {number}", _cost_of, (candidate, scenario, motions, values))
 
     # Another scenario of that name, or other ranges, are another search.
     parts = (scenario, tunable, own_source(name)) if is_own_controller(name) else (scenario, tunable)
@@ -141,7 +141,9 @@ def tune(
             home = file.with_name(f"{file.stem}-locks") / re.sub(r"[^\w.-]+", "_", study)
             held.enter_context(locked_folder(home, field="study"))
         held.enter_context(storage_errors(storage))
-        result = search_parameters(cost, tunable, storage, study, total, seed, on_trial, starts)
+        result = search_parameters(
+            cost, tunable, storage, study, total, seed, on_trial, starts, executor, call
+        )
     return TuningResult(
         name, scenario.name, scenario_digest(scenario), result.parameters, result.cost,
         result.default_cost, result.trials, result.trials * steps, earthquakes, seed,
@@ -212,6 +214,16 @@ def _tuned(
     return vars(result)
 
 
+def _cost_of(
+    candidate: Baseline,
+    scenario: Scenario,
+    motions: Sequence[Earthquake],
+    values: dict[str, float],
+) -> float:
+    quakes = [motions] if candidate.takes_earthquakes else []
+    return mean_cost(lambda: candidate.make(scenario, *quakes, **values), scenario, motions)
+
+
 def tunable_baseline(name: str, scenario: Scenario) -> Baseline:
     """Return the controller called `name`, a classical one or one's own.
 
@@ -270,107 +282,6 @@ def mean_cost(
         return FAILED
     mean = float(np.mean([row.cost for row in rows]))
     return mean if math.isfinite(mean) else FAILED
-
-
-@dataclass(frozen=True)
-class StudyResult:
-    """What a study came to."""
-
-    parameters: dict[str, float]
-    cost: float
-    default_cost: float
-    trials: int
-
-
-def search_parameters(
-    cost: Callable[[dict[str, float]], float],
-    tunable: Mapping[str, Tunable],
-    storage: str | PathLike[str],
-    study_name: str,
-    total: int,
-    seed: int,
-    on_trial: Callable[[int, int, float], None],
-    starts: Sequence[Mapping[str, float]],
-) -> StudyResult:
-    """Search a controller's `tunable` parameters in `total` trials, those of other processes counted.
-
-    The first trials are `starts`; what the first of them costs is the result's `default_cost`.
-    """
-    study, made = open_study(storage, study_name)
-    import optuna
-
-    def objective(trial: Any) -> float:
-        return cost(
-            {
-                each: trial.suggest_float(each, t.low, t.high, log=t.logarithmic)
-                for each, t in tunable.items()
-            }
-        )
-
-    distributions: dict[str, optuna.distributions.BaseDistribution] = {
-        each: optuna.distributions.FloatDistribution(t.low, t.high, log=t.logarithmic)
-        for each, t in tunable.items()
-    }
-    done = _finished(study)
-    if is_shared(storage):
-        if made:  # by this process, and no other
-            for start in starts[:total]:
-                study.enqueue_trial(dict(start))
-        _share_study(study, objective, total, seed, on_trial)
-        default = _value_at(study, starts[0])
-        default = cost(dict(starts[0])) if default is None else default
-        return StudyResult(
-            dict(study.best_params), float(study.best_value), float(default), _finished(study)
-        )
-    # A resumed search draws from a seed of its own, or it would repeat its first trials.
-    study.sampler = optuna.samplers.TPESampler(seed=seed + 1000 * done, multivariate=True)
-    # The starts are put in when their cost is known, and looked for by their values: a search that was
-    # cut in one of them tries it again, before any other.
-    for start in starts:
-        if done < total and _value_at(study, start) is None:
-            study.add_trial(
-                optuna.trial.create_trial(
-                    params=dict(start), distributions=distributions, value=cost(dict(start))
-                )
-            )
-            done = _finished(study)
-            on_trial(done, total, study.best_value)
-    while done < total:
-        study.optimize(objective, n_trials=1)
-        done = _finished(study)
-        on_trial(done, total, study.best_value)
-    default = _value_at(study, starts[0])
-    assert default is not None  # it is the first trial, and there is one
-    return StudyResult(dict(study.best_params), float(study.best_value), float(default), done)
-
-
-def _share_study(
-    study: Any,
-    objective: Callable[[Any], float],
-    total: int,
-    seed: int,
-    on_trial: Callable[[int, int, float], None],
-) -> None:
-    """Work on a study beside other processes until it has `total` trials."""
-
-    def with_sign(trial: Any) -> float:
-        with pulse(study, trial):
-            return objective(trial)
-
-    study.sampler = shared_sampler(seed, _finished(study))
-    while may_begin(study, total, lambda: _finished(study)):
-        study.optimize(with_sign, n_trials=1)
-        on_trial(_finished(study), total, study.best_value)
-
-
-def _value_at(study: Any, start: Mapping[str, float]) -> float | None:
-    """Return the cost of the first finished trial of these values, None if there is none."""
-    values = (t.value for t in study.trials if t.value is not None and t.params == dict(start))
-    return next(values, None)
-
-
-def _finished(study: Any) -> int:
-    return sum(trial.value is not None for trial in study.trials)
 
 
 def keep_tuned_values(tuning: TuningResult, file: str | PathLike[str]) -> None:

@@ -36,6 +36,10 @@ def refuses():
     raise ParameterError("mass", -1.0, "must be above 0")
 
 
+def distance(value, other):
+    return (value - other) ** 2
+
+
 def divides(number):
     return 1 / number
 

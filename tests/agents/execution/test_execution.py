@@ -232,11 +232,19 @@ def test_an_address_where_grpc_answers_is_asked_no_more():
 @pytest.mark.slow
 def test_the_executor_asks_before_ray_does(tmp_path):
     pytest.importorskip("ray", reason="ray is not installed: it is an extra")
-    options = ExecutionOptions(executor="ray", ray_address="127.0.0.1:9", units=tmp_path)
+    options = ExecutionOptions(executor="ray", ray_address="127.0.0.1:9", units=tmp_path / "units")
     began = time.monotonic()
     with pytest.raises(ParameterError, match="ray-address"), options.open_executor():
         pass
     assert time.monotonic() - began < 30.0  # the import of Ray
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_command_that_is_refused_leaves_no_folder_of_units(tmp_path):
+    options = ExecutionOptions(processes=2, units=tmp_path / "units")
+    with pytest.raises(ParameterError, match="storage"), options.open_executor():
+        raise ParameterError("storage", "a.db", "is a file of this machine")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_refused_parameters_of_jobs_leave_no_folder(tmp_path):

@@ -6,18 +6,16 @@ import sqlite3
 from contextlib import closing
 
 import numpy as np
+import optuna
 import pytest
+import unit_calls
 
 from agents.__main__ import main
 from agents.execution.local_executor import LocalExecutor
 from agents.execution.units import UnitRunner
-from agents.experiments.controller_tuning import (
-    FAILED,
-    keep_tuned_values,
-    search_parameters,
-    tune,
-    tune_each,
-)
+from agents.execution.worker import Call
+from agents.experiments.controller_tuning import FAILED, keep_tuned_values, tune, tune_each
+from agents.experiments.parameter_search import search_parameters
 from agents.experiments.study_storage import open_study, storage_errors
 from baselines import registry
 from baselines.baseline import Baseline, Tunable
@@ -189,9 +187,39 @@ def test_a_tunable_range_must_hold_its_default():
             Tunable(*values)
 
 
-def test_an_executor_for_a_single_search_is_refused(capsys):
-    assert main(["tune", "pid", "--executor", "ray"]) == 2
-    assert "same --storage" in capsys.readouterr().err
+def test_workers_search_as_one_process_does(tmp_path, capsys):
+    arguments = ["tune", "preview-lqr", "--duration", "0.5", "--earthquakes", "1", "--budget", "1800"]
+
+    def trials(name, *options):
+        storage = str(tmp_path / f"{name}.db")
+        assert main([*arguments, "--storage", storage, *options, "--json"]) == 0
+        result = json.loads(capsys.readouterr().out)
+        study = optuna.load_study(study_name=None, storage=f"sqlite:///{storage}")
+        return result, [(t.params, t.value, t.state.name) for t in study.get_trials(deepcopy=False)]
+
+    here, alone = trials("here")
+    units = ["--units", str(tmp_path / "units")]
+    # A bound on its memory makes one process a worker.
+    assert trials("one", *units, "--worker-memory", "8") == (here, alone)
+    result, several = trials("two", *units, "--processes", "2")
+    assert len(several) == len(alone) == here["trials"] == result["trials"]
+    assert {state for *_, state in several} == {"COMPLETE"}
+    assert several[0] == alone[0] and result["default_cost"] == here["default_cost"]
+
+
+def test_workers_fill_a_study_that_others_may_share(tmp_path):
+    storage = f"journal:{tmp_path / 'study'}"
+    with storage_errors(storage), LocalExecutor(2) as executor:
+        found = search_parameters(
+            None, {"x": Tunable(0.0, 10.0, 5.0, logarithmic=False)}, storage, "study", 12, 0,
+            lambda *told: None, [{"x": 5.0}, {"x": 1.0}], executor,
+            lambda number, values: Call(f"trial {number}", unit_calls.distance, (values["x"], 1.0)),
+        )  # fmt: skip
+        study, made = open_study(storage, "study")
+    assert not made and found.trials == 12
+    states = [t.state.name for t in study.get_trials(deepcopy=False)]
+    assert states == ["COMPLETE"] * 12
+    assert (found.default_cost, found.cost, found.parameters) == (16.0, 0.0, {"x": 1.0})
 
 
 def test_a_storage_that_no_controller_can_use_ends_the_search_of_all(tmp_path):

@@ -25,7 +25,7 @@ from shake_env.errors import ParameterError
 WORK = """
 import sys, time
 from agents.experiments import signs_of_life
-from agents.experiments.controller_tuning import search
+from agents.experiments.parameter_search import search_parameters
 from baselines.baseline import Tunable
 
 signs_of_life.HEARTBEAT, signs_of_life.GRACE = 1, 4
@@ -40,8 +40,9 @@ def told(done, total, best):
     print(done, flush=True)
 
 if __name__ == "__main__":
-    found = search(cost, {"x": Tunable(0.0, 10.0, 5.0, logarithmic=False)}, storage, "study", total,
-                   0, told, [{"x": 5.0}, {"x": 1.0}])
+    x = Tunable(0.0, 10.0, 5.0, logarithmic=False)
+    starts = [{"x": 5.0}, {"x": 1.0}]
+    found = search_parameters(cost, {"x": x}, storage, "study", total, 0, told, starts)
     assert found.default_cost == 16.0 and found.cost == 0.0
 """
 
@@ -180,7 +181,7 @@ def test_a_killed_processs_trial_is_tried_again(storage, tmp_path):
 ONE_FILE = """
 import sys, time
 from pathlib import Path
-from agents.experiments.controller_tuning import search
+from agents.experiments.parameter_search import search_parameters
 from agents.experiments.study_storage import storage_errors
 from baselines.baseline import Tunable
 
@@ -189,8 +190,9 @@ print("ready", flush=True)
 while not Path(storage + ".go").exists():
     time.sleep(0.001)
 with storage_errors(storage):
-    search(lambda values: (values["x"] - 1.0) ** 2, {"x": Tunable(0.0, 10.0, 5.0, logarithmic=False)},
-           storage, name, total, 0, lambda *told: None, [{"x": 5.0}, {"x": 1.0}])
+    x = Tunable(0.0, 10.0, 5.0, logarithmic=False)
+    search_parameters(lambda values: (values["x"] - 1.0) ** 2, {"x": x}, storage, name, total, 0,
+                      lambda *told: None, [{"x": 5.0}, {"x": 1.0}])
 """
 
 
