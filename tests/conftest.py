@@ -1,10 +1,12 @@
 """One thread for everything: the matrices are small, and idle threads of a pool stall a busy machine.
 
-And no window on the screen.
+No window on the screen. And Ctrl-C ends what the tests begin, which it would not where a shell began the
+tests in the background: then they ignore it, and so do the processes that they begin.
 """
 
 import importlib.util
 import os
+import signal
 import tempfile
 
 import pytest
@@ -12,6 +14,8 @@ import pytest
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_sessionstart(session):
