@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from agents.deployment.rehearsal.controller_process import Runs, start_controller
-from agents.deployment.rehearsal.faults import CONTROLLER_DIES, SENSOR_STICKS, draw_faults
+from agents.deployment.rehearsal.faults import CONTROLLER_DIES, draw_faults
 from agents.deployment.rehearsal.log import draw_timing, recorded_log, write_periods
-from agents.deployment.rehearsal.rehearsed import IGNORED, NO_COMMAND, Rehearsal
+from agents.deployment.rehearsal.rehearsed import Rehearsal, unnoticed
 from agents.deployment.rehearsal.table import TableProcess
 from agents.laboratory.logs.hdf5_file import import_library
 from agents.laboratory.logs.log_file import write_log
@@ -19,8 +19,6 @@ from shake_env.errors import ParameterError
 from shake_env.motion.targets import FilteredNoise
 from shake_env.rollout import Earthquake, noise_earthquakes
 from shake_env.scenario.scenario import Scenario
-
-NOTICED = 12  # control periods within which a sensor that sticks must be found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,37 +132,6 @@ def _earthquakes(scenario: Scenario, plan: RehearsalPlan) -> list[NoiseEarthquak
         duration = max(plan.seconds or 0.0, motion.duration)
         made.append(NoiseEarthquake(quake.name, replace(motion, duration=duration), quake.seed))
     return made
-
-
-def unnoticed(test: Rehearsal) -> list[str]:
-    """Return the injected faults of a test that the table did not notice by itself, in words.
-
-    A datagram that is lost, late, out of order or corrupt leaves its period without a command; a command
-    that comes twice is noticed as that; a measurement that comes twice is ignored once, as the next
-    command tells; a dead controller leaves every period without a command; a sensor that sticks is found
-    faulty within `NOTICED` periods. Of a test's last periods nothing can tell what the next would have
-    shown.
-    """
-    injected, events = (test.columns.index(name) for name in ("injected", "events"))
-    missed = []
-    for k, row in enumerate(test.rows):
-        for fault in filter(None, row[injected].split("; ")):
-            later = [text for each in test.rows[k : k + NOTICED] for text in each[events].split("; ")]
-            if fault == SENSOR_STICKS:
-                noticed = any(text.startswith("faulty sensor") for text in later)
-                noticed = noticed or len(test.rows) < k + NOTICED
-            elif fault == "command duplicated":
-                noticed = "command repeated" in later
-            elif fault == "measurement duplicated":
-                answered = (
-                    each[events] for each in test.rows[k + 1 :] if NO_COMMAND not in each[events]
-                )
-                noticed = IGNORED in next(answered, IGNORED)
-            else:
-                noticed = NO_COMMAND in row[events] or "corrupt datagram" in row[events]
-            if not noticed:
-                missed.append(f"{fault} in period {k}")
-    return missed
 
 
 def _result(

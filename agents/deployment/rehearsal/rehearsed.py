@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from agents.deployment.rehearsal.faults import CONTROLLER_DIES, LINK_FAULTS
+from agents.deployment.rehearsal.faults import CONTROLLER_DIES, LINK_FAULTS, SENSOR_STICKS
 from agents.deployment.rehearsal.real_time import Machine
 from shake_env.model.parameters import FloatArray
 from shake_env.scenario.scenario import Scenario
 
 NO_COMMAND = "no command in time"
 IGNORED = "measurement ignored by the controller"
+NOTICED = 12  # control periods within which a sensor that sticks must be found
 STALLED = "machine stalled"
 
 
@@ -101,3 +102,34 @@ class Rehearsal:
             "latency": quantiles(latency),
             "jitter": quantiles(jitter),
         }
+
+
+def unnoticed(test: Rehearsal) -> list[str]:
+    """Return the injected faults of a test that the table did not notice by itself, in words.
+
+    A datagram that is lost, late, out of order or corrupt leaves its period without a command; a command
+    that comes twice is noticed as that; a measurement that comes twice is ignored once, as the next
+    command tells; a dead controller leaves every period without a command; a sensor that sticks is found
+    faulty within `NOTICED` periods. Of a test's last periods nothing can tell what the next would have
+    shown.
+    """
+    injected, events = (test.columns.index(name) for name in ("injected", "events"))
+    missed = []
+    for k, row in enumerate(test.rows):
+        for fault in filter(None, row[injected].split("; ")):
+            later = [text for each in test.rows[k : k + NOTICED] for text in each[events].split("; ")]
+            if fault == SENSOR_STICKS:
+                noticed = any(text.startswith("faulty sensor") for text in later)
+                noticed = noticed or len(test.rows) < k + NOTICED
+            elif fault == "command duplicated":
+                noticed = "command repeated" in later
+            elif fault == "measurement duplicated":
+                answered = (
+                    each[events] for each in test.rows[k + 1 :] if NO_COMMAND not in each[events]
+                )
+                noticed = IGNORED in next(answered, IGNORED)
+            else:
+                noticed = NO_COMMAND in row[events] or "corrupt datagram" in row[events]
+            if not noticed:
+                missed.append(f"{fault} in period {k}")
+    return missed

@@ -14,8 +14,8 @@ from agents.deployment.rehearsal.datagram import BEGINS, COMMAND, MEASUREMENT, D
 from agents.deployment.rehearsal.faults import FAULTS, LINK_FAULTS, Fault, FaultyLink, draw_faults
 from agents.deployment.rehearsal.guard import HoldThenBrake
 from agents.deployment.rehearsal.log import draw_timing, recorded_log, write_periods
-from agents.deployment.rehearsal.rehearse import RehearsalPlan, rehearse, unnoticed
-from agents.deployment.rehearsal.rehearsed import Rehearsal
+from agents.deployment.rehearsal.rehearse import RehearsalPlan, rehearse
+from agents.deployment.rehearsal.rehearsed import Rehearsal, unnoticed
 from agents.deployment.rehearsal.table import TableProcess
 from agents.laboratory.logs.findings import channel_faults
 from agents.laboratory.logs.log_file import read_log
