@@ -97,3 +97,8 @@ def differences(one: object, other: object, name: str = "") -> dict[str, tuple[A
 def plain(values: dict[str, Any]) -> dict[str, Any]:
     """Return values (a configuration's) as JSON has them; what it lacks (a path) as text."""
     return cast("dict[str, Any]", json.loads(json.dumps(values, default=str)))
+
+
+def plain_row(row: dict[str, Any]) -> dict[str, Any]:
+    """Return a row for JSON, which has no NaN: what is not defined (a still table's lag) is null."""
+    return {key: None if value != value else value for key, value in row.items()}

@@ -18,7 +18,7 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import chi2
 
 from shake_env.model.random_numbers import GROUND, episode_key, normals
-from shake_env.simulation.simulation import episode_stream
+from shake_env.simulation.streams import episode_stream
 
 STREAMS, PERIODS, NUMBERS = 512, 128, 12  # of one portion
 MOMENTS = {1: (0.0, 1.0), 2: (1.0, 2.0), 3: (0.0, 15.0), 4: (3.0, 96.0)}  # exact mean and variance

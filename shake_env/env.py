@@ -19,7 +19,8 @@ from shake_env.rendering.window import FRAME_RATE, RENDER_MODES, make_view, meta
 from shake_env.scenario.limits import OBSERVATION_BOUND, REASONS
 from shake_env.scenario.overrides import Overrides, make_scenario
 from shake_env.scenario.scenario import Scenario
-from shake_env.simulation.simulation import Simulation, earthquake_stream, episode_stream
+from shake_env.simulation.simulation import Simulation
+from shake_env.simulation.streams import earthquake_stream, episode_stream
 
 INFO_KEYS = INFO
 

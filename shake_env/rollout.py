@@ -21,7 +21,8 @@ from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty
 from shake_env.simulation.engine import BoolArray, Observations, StepResult
 from shake_env.simulation.metrics import EpisodeMetrics, MetricAccumulator
-from shake_env.simulation.simulation import Simulation, checked_action, earthquake_stream
+from shake_env.simulation.simulation import Simulation, checked_action
+from shake_env.simulation.streams import earthquake_stream
 from shake_env.simulation.trajectory import Recorder, Trajectory
 
 

@@ -20,13 +20,12 @@ from shake_env.env import (
 from shake_env.errors import ParameterError
 from shake_env.model.inputs import checked_seed
 from shake_env.model.specimen_state import NEW, SpecimenState
-from shake_env.motion.targets import EpisodeMotion
+from shake_env.motion.targets import EpisodeMotion, control_steps
 from shake_env.rendering.window import FRAME_RATE
 from shake_env.scenario.limits import OBSERVATION_BOUND
 from shake_env.scenario.overrides import Overrides
 from shake_env.scenario.scenario import Scenario
-from shake_env.simulation.motion_shapes import control_steps
-from shake_env.simulation.simulation import earthquake_stream, episode_stream
+from shake_env.simulation.streams import earthquake_stream, episode_stream
 
 AMPLITUDES = (0.1, 0.25, 0.5, 0.75, 1.0)
 

@@ -24,12 +24,8 @@ from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.batch_info import BatchInfo
 from shake_env.simulation.engine import BoolArray, LaneState, Observations, StepResult
 from shake_env.simulation.memory import check_memory
-from shake_env.simulation.simulation import (
-    Simulation,
-    earthquake_stream,
-    episode_stream,
-    stream_array,
-)
+from shake_env.simulation.simulation import Simulation
+from shake_env.simulation.streams import earthquake_stream, episode_stream, stream_array
 
 NUM_ENVS = Range(1, 10_000_000, whole=True)
 THREADS = Range(1, 1024, whole=True)

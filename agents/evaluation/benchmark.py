@@ -12,8 +12,9 @@ import shake_env
 from agents.evaluation.bound import causal_bound
 from agents.evaluation.comparison import compare
 from agents.evaluation.controller_set import ALL, values_to_json
-from agents.evaluation.results import Comparison, GroupSummary, plain_row
+from agents.evaluation.results import Comparison, GroupSummary
 from agents.evaluation.scores import below_bound
+from agents.plain_values import plain_row
 from agents.policies.registry import ORACLE
 from agents.provenance import machine
 from agents.run_directory import names_in_words, read_json

@@ -16,10 +16,10 @@ from agents.evaluation.bound_store import Bounds, earthquake_bounds, search_code
 from agents.evaluation.controller_set import values_to_json
 from agents.evaluation.fidelity import fidelity
 from agents.evaluation.latency import decision_time
-from agents.evaluation.results import plain_row
 from agents.evaluation.scores import Episodes, below_bound, cost_figures, result_row
 from agents.evaluation.training_distance import training_warning
 from agents.execution.units import Unit, UnitRunner, report
+from agents.plain_values import plain_row
 from agents.policies.own_controller import is_own_controller, own_baseline, own_source
 from agents.policies.policy_file import PolicyFile, file_digest, load_policy
 from agents.policies.registry import (

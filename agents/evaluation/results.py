@@ -10,6 +10,7 @@ from agents.evaluation.bound_store import Bounds
 from agents.evaluation.controller_set import describe_values, values_to_json
 from agents.evaluation.fidelity import Fidelity
 from agents.evaluation.tracking import BANDS, TrackingFigures
+from agents.plain_values import plain_row
 from baselines.registry import ParameterValues
 from shake_env.errors import ParameterError
 from shake_env.simulation.metrics import EpisodeMetrics
@@ -233,8 +234,3 @@ def cost_text(value: float, low: float | None, high: float | None) -> str:
     known = low is not None and high is not None and low == low
     digits = 3 if (high if known and high is not None else value) < 10.0 else 1
     return f"{value:.{digits}f}" + (f" [{low:.{digits}f}, {high:.{digits}f}]" if known else "")
-
-
-def plain_row(row: dict[str, Any]) -> dict[str, Any]:
-    """Return a row for JSON, which has no NaN: what is not defined (a still table's lag) is null."""
-    return {key: None if value != value else value for key, value in row.items()}

@@ -23,12 +23,8 @@ from shake_env.scenario.limits import OBSERVATION_BOUND, REASONS
 from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.engine import LaneState, StepResult
 from shake_env.simulation.sensors import SensorMemory
-from shake_env.simulation.simulation import (
-    Simulation,
-    earthquake_stream,
-    episode_stream,
-    stream_array,
-)
+from shake_env.simulation.simulation import Simulation
+from shake_env.simulation.streams import earthquake_stream, episode_stream, stream_array
 
 
 class ShakeTableVecEnv(VecEnv):

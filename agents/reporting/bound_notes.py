@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from agents.evaluation.results import Comparison
 from baselines.information import MEANINGS, knows_no_more
 
 MARK = "\u2020"  # of a class that knows more than the scenario shows
@@ -36,6 +37,16 @@ def class_note(classes: Sequence[str], own: str) -> list[str]:
             "controllers without the mark."
         )
     return lines
+
+
+def comparison_notes(comparison: Comparison) -> list[str]:
+    """Return in sentences what the bound and the classes of information in the tables are."""
+    classes = [row.information for row in comparison.summaries]
+    notes = class_note(classes, comparison.information)
+    if comparison.bounds is None:
+        return notes
+    bound = comparison.bounds.to_json()
+    return [*bound_notes(bound, len(comparison.groups)), *notes]
 
 
 def bound_notes(bound: dict[str, Any], earthquakes: int) -> list[str]:

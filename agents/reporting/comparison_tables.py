@@ -14,7 +14,7 @@ from rich.console import Console
 from agents.evaluation.fidelity import Fidelity
 from agents.evaluation.results import Comparison, GroupSummary, cost_text, drive_column
 from agents.figure_style import save_figure, tracking_figure
-from agents.reporting.bound_notes import bound_notes, class_note, marked_class
+from agents.reporting.bound_notes import comparison_notes, marked_class
 from agents.reporting.csv_file import write_csv
 from agents.reporting.summary_text import QUESTIONS, verdict
 from agents.reporting.terminal import print_table
@@ -83,16 +83,6 @@ def print_verdict(comparison: Comparison, scenario: Scenario, console: Console) 
     sentences = verdict(comparison, scenario, _label).sentences
     rows = list(zip(QUESTIONS, sentences, strict=True))
     print_table(console, ("verdict", ""), rows, left=(1,), fold=1)
-
-
-def comparison_notes(comparison: Comparison) -> list[str]:
-    """Return in sentences what the bound and the classes of information in the tables are."""
-    classes = [row.information for row in comparison.summaries]
-    notes = class_note(classes, comparison.information)
-    if comparison.bounds is None:
-        return notes
-    bound = comparison.bounds.to_json()
-    return [*bound_notes(bound, len(comparison.groups)), *notes]
 
 
 def damage_note(row: GroupSummary) -> str:

@@ -15,14 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.iterative.drive_file import (
-    DisplacementHold,
-    PeriodModel,
-    Repeat,
-    Tests,
-    repeat_tests,
-    run_test,
-)
+from baselines.iterative.drive_file import DisplacementHold, PeriodModel
+from baselines.iterative.repeated_tests import Repeat, Tests, repeat_tests, run_test
 from shake_env.controller import NoControl
 from shake_env.errors import ParameterError
 from shake_env.model.parameters import FloatArray

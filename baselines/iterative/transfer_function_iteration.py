@@ -21,16 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
-from baselines.iterative.drive_file import (
-    HOLD_FREQUENCY,
-    DisplacementHold,
-    DriveFile,
-    PeriodModel,
-    Repeat,
-    Tests,
-    repeat_tests,
-    run_test,
-)
+from baselines.iterative.drive_file import HOLD_FREQUENCY, DisplacementHold, DriveFile, PeriodModel
+from baselines.iterative.repeated_tests import Repeat, Tests, repeat_tests, run_test
 from shake_env.controller import NoControl
 from shake_env.errors import ParameterError
 from shake_env.model.parameters import FloatArray

@@ -27,7 +27,7 @@ def read(block: Block) -> None:
 
 
 def draw_readings(block: Block, first: int) -> None:
-    """Write a standard normal number for each reading."""
+    """Write the noise of the sensors: a standard normal number for each reading."""
     code, b = block.code, block.code.b
     blocks = b.udiv(b.add(code.whole("readings"), whole(A_BLOCK - 1)), whole(A_BLOCK))
     behind = code.whole("ahead")

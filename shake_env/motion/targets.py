@@ -176,6 +176,24 @@ def target_history(motion: RecordedMotion, physics_step: float) -> TargetHistory
     return TargetHistory(*integrals(acceleration[:end], physics_step))
 
 
+def control_steps(motion: EpisodeMotion, period: float, physics_step: float) -> int:
+    """Return the number of whole control periods in a motion.
+
+    Raises
+    ------
+    ParameterError
+        If the motion is shorter than one period.
+    """
+    if isinstance(motion, FilteredNoise):
+        duration = motion.duration
+    else:
+        duration = (len(target_history(motion, physics_step).acceleration) - 1) * physics_step
+    steps = math.floor(duration / period + 1e-9)
+    if steps < 1:
+        raise ParameterError("duration", duration, f"must hold at least one control period ({period} s)")
+    return steps
+
+
 def check_band(highpass: float | None, lowpass: float | None, interval: float) -> None:
     """Raise ParameterError unless ``0 < highpass < lowpass < Nyquist`` [Hz], where given."""
     nyquist = 0.5 / interval

@@ -5,7 +5,8 @@ from shake_env.simulation.excitation import Excitation
 from shake_env.simulation.memory import check_memory
 from shake_env.simulation.metrics import EpisodeMetrics, MetricAccumulator
 from shake_env.simulation.sensors import Measurement, SensorMemory
-from shake_env.simulation.simulation import Simulation, earthquake_stream, episode_stream
+from shake_env.simulation.simulation import Simulation
+from shake_env.simulation.streams import earthquake_stream, episode_stream
 from shake_env.simulation.trajectory import Recorder, Trajectory
 from shake_env.simulation.transition import TableModel, dynamics_of
 

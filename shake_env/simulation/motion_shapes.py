@@ -6,34 +6,20 @@ envelope is its intensity. Past the last row the last row counts.
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
 
 import numpy as np
 
 from shake_env.dynamics.ground import filter_state
-from shake_env.errors import ParameterError
 from shake_env.model.discretization import DiscretePlant
 from shake_env.model.parameters import FloatArray, GroundFilter
-from shake_env.motion.targets import EpisodeMotion, FilteredNoise, RecordedMotion, target_history
-
-
-def control_steps(motion: EpisodeMotion, period: float, physics_step: float) -> int:
-    """Return the number of whole control periods in a motion.
-
-    Raises
-    ------
-    ParameterError
-        If the motion is shorter than one period.
-    """
-    if isinstance(motion, FilteredNoise):
-        duration = motion.duration
-    else:
-        duration = (len(target_history(motion, physics_step).acceleration) - 1) * physics_step
-    steps = math.floor(duration / period + 1e-9)
-    if steps < 1:
-        raise ParameterError("duration", duration, f"must hold at least one control period ({period} s)")
-    return steps
+from shake_env.motion.targets import (
+    EpisodeMotion,
+    FilteredNoise,
+    RecordedMotion,
+    control_steps,
+    target_history,
+)
 
 
 def motion_shape(motion: EpisodeMotion, discrete: DiscretePlant, ahead: int) -> FloatArray | None:

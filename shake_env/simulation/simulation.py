@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -17,7 +16,7 @@ from shake_env.model.inputs import checked_action as checked_action
 from shake_env.model.parameters import FloatArray
 from shake_env.model.random_numbers import episode_key
 from shake_env.model.specimen_state import SpecimenState
-from shake_env.motion.targets import Motion
+from shake_env.motion.targets import Motion, control_steps
 from shake_env.numba_support import compiled_module
 from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.engine import (
@@ -31,7 +30,6 @@ from shake_env.simulation.engine import (
     Tables,
 )
 from shake_env.simulation.memory import check_memory
-from shake_env.simulation.motion_shapes import control_steps
 from shake_env.simulation.plant_batch import PlantBatch
 from shake_env.simulation.reference_engine import ReferenceEngine
 from shake_env.simulation.sensors import SensorMemory
@@ -285,28 +283,3 @@ def _engine(tables: Tables) -> Engine:
         return ReferenceEngine(tables)
     engine: Engine = compiled.CompiledEngine(tables)
     return engine
-
-
-def earthquake_stream(seed: int) -> np.random.Generator:
-    """Return the stream of the episode that is a seed's earthquake: motion, plant and every noise.
-
-    The one map from seeds to earthquakes. The protocol's earthquake S and the first episode after
-    ``reset(seed=S)`` of an environment are both this.
-    """
-    return np.random.default_rng(seed)
-
-
-def stream_array(streams: Iterable[np.random.Generator | None]) -> NDArray[Any]:
-    """Return copies of generators, where they stand, as an array of objects (N,)."""
-    copies = copy.deepcopy(list(streams))
-    array = np.empty(len(copies), dtype=object)
-    array[:] = copies
-    return array
-
-
-def episode_stream(generator: np.random.Generator) -> np.random.Generator:
-    """Return the stream of a lane's next episode.
-
-    Spawned, so that what an episode draws never shows in what comes after.
-    """
-    return generator.spawn(1)[0]

@@ -18,7 +18,8 @@ from shake_env import (
 )
 from shake_env.env import INFO_KEYS
 from shake_env.rollout import noise_earthquakes, rollout
-from shake_env.simulation.simulation import Simulation, earthquake_stream
+from shake_env.simulation.simulation import Simulation
+from shake_env.simulation.streams import earthquake_stream
 
 
 def test_make():

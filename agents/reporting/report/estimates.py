@@ -14,7 +14,7 @@ from shake_env.errors import NumericalError
 from shake_env.model.parameters import ModelEquations
 from shake_env.rollout import Earthquake
 from shake_env.scenario.scenario import Scenario
-from shake_env.simulation.simulation import earthquake_stream
+from shake_env.simulation.streams import earthquake_stream
 from shake_env.simulation.trajectory import Trajectory
 
 FloatArray = NDArray[np.float64]

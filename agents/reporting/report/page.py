@@ -23,8 +23,7 @@ from agents.evaluation.results import GroupSummary, drive_column
 from agents.evaluation.statistics import mean_interval
 from agents.figure_style import figure_style
 from agents.policies.registry import ORACLE
-from agents.reporting.bound_notes import marked_class
-from agents.reporting.comparison_tables import comparison_notes
+from agents.reporting.bound_notes import comparison_notes, marked_class
 from agents.reporting.report.acceptance import acceptance_section
 from agents.reporting.report.contents import Report
 from agents.reporting.report.data import page_data

@@ -28,7 +28,7 @@ from shake_env.rollout import (
 from shake_env.scenario.limits import Limits
 from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.excitation import Excitation
-from shake_env.simulation.simulation import earthquake_stream
+from shake_env.simulation.streams import earthquake_stream
 from shake_env.simulation.trajectory import Trajectory
 
 HIGHPASS = 0.5  # [Hz] of the third group: without it the target's displacement has no bound

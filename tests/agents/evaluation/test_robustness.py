@@ -172,16 +172,8 @@ def test_a_card_says_where_its_policy_fails(small, tmp_path):
 
 def test_a_report_shows_it(small, tmp_path, capsys):
     folder, result = small
-    words = [
-        "compare",
-        "--controllers",
-        "none",
-        "--num-noise-motions",
-        "2",
-        "--no-records",
-        "--duration",
-        "5",
-    ]
+    words = ["compare", "--controllers", "none", "--num-noise-motions", "2", "--no-records"]
+    words += ["--duration", "1"]
     file = str(folder / "robustness_linear.json")
     assert main([*words, "--report", str(tmp_path / "page"), "--json", "--robustness", file]) == 0
     page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")

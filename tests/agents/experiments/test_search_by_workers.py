@@ -64,13 +64,14 @@ def same_policies(trace, home, whole):
     return True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("engine", "processes"),
     [
-        pytest.param("local", 1, marks=pytest.mark.slow),
+        ("local", 1),
         ("local", 2),
-        pytest.param("ray", 2, marks=pytest.mark.slow),
-        pytest.param("submitit", 2, marks=pytest.mark.slow),
+        ("ray", 2),
+        ("submitit", 2),
     ],
 )
 def test_workers_make_the_trials_of_one_process(whole, tmp_path, engine, processes):
@@ -130,6 +131,7 @@ def test_a_killed_workers_trial_is_tried_again(whole, tmp_path):
     assert same_policies(trace, home, whole)
 
 
+@pytest.mark.slow
 def test_a_trial_of_a_worker_behind_the_others_is_ended(tmp_path):
     search, study = led_study(SEARCH, tmp_path / "r.db")
     trace = search_training(

@@ -25,7 +25,8 @@ from shake_env.errors import FileError, LogError, ParameterError
 from shake_env.model.specimen_state import NEW
 from shake_env.scenario.overrides import make_scenario
 from shake_env.scenario.scenario_file import read_scenario
-from shake_env.simulation.simulation import Simulation, earthquake_stream
+from shake_env.simulation.simulation import Simulation
+from shake_env.simulation.streams import earthquake_stream
 
 
 def laboratory_test(seconds=3.0):

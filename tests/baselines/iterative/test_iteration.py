@@ -6,14 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from baselines.iterative.drive_file import (
-    DisplacementHold,
-    DriveFile,
-    PeriodModel,
-    repeat_tests,
-    run_test,
-)
+from baselines.iterative.drive_file import DisplacementHold, DriveFile, PeriodModel
 from baselines.iterative.ilc import LearningLaw, norm_optimal_learning, tracking_error
+from baselines.iterative.repeated_tests import repeat_tests, run_test
 from baselines.iterative.transfer_function_iteration import (
     IterationPlan,
     Lines,

@@ -9,8 +9,7 @@ import pytest
 from shake_env import RECORD_NAMES, Envelope, FilteredNoise, Record, RecordedMotion, load_record
 from shake_env.errors import ParameterError, RecordError
 from shake_env.motion.rest import RAMP
-from shake_env.motion.targets import resample, target_history
-from shake_env.simulation.motion_shapes import control_steps
+from shake_env.motion.targets import control_steps, resample, target_history
 
 
 def made_record(acceleration, interval=0.01, name="made"):

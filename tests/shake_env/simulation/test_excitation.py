@@ -12,9 +12,8 @@ from shake_env.dynamics.ground import filter_state
 from shake_env.errors import ParameterError
 from shake_env.model.plant import specimen_plant
 from shake_env.model.random_numbers import GROUND, normals
-from shake_env.motion.targets import target_history
+from shake_env.motion.targets import control_steps, target_history
 from shake_env.simulation.excitation import Excitation
-from shake_env.simulation.motion_shapes import control_steps
 from shake_env.simulation.simulation import Simulation
 
 

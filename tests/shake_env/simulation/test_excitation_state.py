@@ -7,8 +7,8 @@ import pytest
 from ground_periods import MOTIONS, PARTS, joined, keys, taken
 
 from shake_env import FilteredNoise, RecordedMotion, make_scenario
+from shake_env.motion.targets import control_steps
 from shake_env.simulation.excitation import Excitation
-from shake_env.simulation.motion_shapes import control_steps
 from shake_env.simulation.simulation import Simulation
 
 

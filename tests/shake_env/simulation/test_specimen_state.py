@@ -14,7 +14,8 @@ from shake_env.rollout import Earthquake, rollout
 from shake_env.scenario.limits import Limits
 from shake_env.scenario.overrides import make_scenario
 from shake_env.scenario.plants.samples import PlantSamples
-from shake_env.simulation.simulation import Simulation, earthquake_stream
+from shake_env.simulation.simulation import Simulation
+from shake_env.simulation.streams import earthquake_stream
 from shake_env.simulation.trajectory import Trajectory
 
 STORIES, QUIET = 2, 4.0  # [s] after which nothing moves

@@ -9,7 +9,8 @@ import pytest
 from baselines.lqr.sampled import sampled_lqr
 from shake_env import ShakeTableEnv, ShakeTableVectorEnv, make_scenario
 from shake_env.dynamics.ground import GroundPeriod
-from shake_env.simulation.simulation import Simulation, earthquake_stream
+from shake_env.simulation.simulation import Simulation
+from shake_env.simulation.streams import earthquake_stream
 from shake_env.simulation.transition import TableModel
 
 torch = pytest.importorskip("torch")
