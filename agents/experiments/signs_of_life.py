@@ -45,6 +45,10 @@ def sign_of_life(study: Any, trial: Any) -> AbstractContextManager[Any]:
     from optuna.storages._heartbeat import get_heartbeat_thread, is_heartbeat_enabled
 
     if is_heartbeat_enabled(study._storage):
+        # The first heartbeat is here and not the thread's: a process that is lost before it would leave
+        # a trial that never counts as stale. The attribute tells others that there was one.
+        study._storage.record_heartbeat(trial._trial_id)
+        study._storage.set_trial_user_attr(trial._trial_id, PULSE, 0)
         return cast("AbstractContextManager[Any]", get_heartbeat_thread(trial._trial_id, study._storage))
     return pulse(study, trial)
 
@@ -86,13 +90,18 @@ def has_pulse(storage: Any) -> bool:
 def retry_lost_trials(study: Any) -> None:
     """Queue again the trials of a study whose processes give no sign of life any more."""
     import optuna
+    from optuna.storages._heartbeat import is_heartbeat_enabled
 
-    optuna.storages.fail_stale_trials(study)  # of a database
-    if not has_pulse(study._storage):
+    beating = is_heartbeat_enabled(study._storage)
+    if beating:
+        optuna.storages.fail_stale_trials(study)
+    elif not has_pulse(study._storage):
         return
     seen, now = _seen.setdefault(study, {}), time.monotonic()
     for trial in study.get_trials(deepcopy=False, states=(optuna.trial.TrialState.RUNNING,)):
         beats = trial.user_attrs.get(PULSE)
+        if beating and beats is not None:
+            continue  # the database's heartbeats tell
         if trial.number not in seen or seen[trial.number][0] != beats:
             seen[trial.number] = beats, now
         elif now - seen[trial.number][1] > GRACE:

@@ -250,6 +250,21 @@ def test_a_trial_without_a_sign_of_life_is_queued_again_and_one_with_it_is_not(t
         assert "WAITING" not in states and states.count("FAIL") >= 1 + signs_of_life.RETRIES
 
 
+def test_a_trial_that_was_lost_before_its_first_heartbeat_is_queued_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(signs_of_life, "HEARTBEAT", 1)
+    monkeypatch.setattr(signs_of_life, "GRACE", 2)
+    storage = f"sqlite:///{tmp_path / 'study.db'}"  # a URL: shared, with heartbeats
+    with storage_errors(storage):
+        study, _ = open_study(storage, "study")
+        study.ask()  # and its process ends here
+        with signs_of_life.sign_of_life(study, study.ask()):
+            end = time.monotonic() + 3.5
+            while time.monotonic() < end:
+                signs_of_life.retry_lost_trials(study)
+                time.sleep(0.1)
+        assert [trial.state.name for trial in study.get_trials()] == ["FAIL", "RUNNING", "WAITING"]
+
+
 def test_storages_are_told_apart_and_keep_their_password():
     assert is_shared("postgresql://h/d") and is_shared("journal:x.log") and is_shared("grpc://h:1")
     assert not is_shared(Path("runs/tune.db")) and not is_shared("C:/tune.db")
