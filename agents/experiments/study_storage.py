@@ -213,7 +213,7 @@ def shared_sampler(seed: int, place: int) -> Any:
 
 @contextmanager
 def storage_errors(storage: str | PathLike[str]) -> Iterator[None]:
-    """Turn errors of a database, as they are or wrapped by Optuna, into a `ParameterError`.
+    """Turn errors of a database or a journal, as they are or wrapped, into a `ParameterError`.
 
     What Optuna calls experimental (heartbeats, journals, the proxy) is used without a warning.
     """
@@ -231,17 +231,27 @@ def storage_errors(storage: str | PathLike[str]) -> Iterator[None]:
         kinds = (
             sqlite3.Error, sqlalchemy.exc.SQLAlchemyError, ModuleNotFoundError, json.JSONDecodeError,
         )  # fmt: skip
-        while cause is not None and not isinstance(cause, kinds):
+        while cause is not None and not (isinstance(cause, kinds) or _of_journal(cause, str(storage))):
             cause = cause.__cause__
         if cause is None or (isinstance(cause, ModuleNotFoundError) and not is_shared(storage)):
             raise
         while isinstance(cause.__cause__, sqlite3.Error):  # says it without SQLAlchemy's words
             cause = cause.__cause__
-        reason = (str(cause) or type(cause).__name__).strip().splitlines()[0]
+        words = cause.strerror if isinstance(cause, OSError) else str(cause)
+        reason = (words or type(cause).__name__).strip().splitlines()[0]
         remedy = f"cannot be used ({reason}): free some space, or name another file"
-        if is_shared(storage):
+        if is_shared(storage) and not isinstance(cause, OSError):
             remedy = f"cannot be used ({reason}): is the server reachable, and its driver installed?"
         raise ParameterError("storage", without_password(storage), remedy) from error
+
+
+def _of_journal(error: BaseException, storage: str) -> bool:
+    """Return whether an error is the operating system's with a journal, whose writes name no file."""
+    if not storage.startswith(_JOURNAL) or not isinstance(error, OSError) or error.errno is None:
+        return False
+    file = storage.removeprefix(_JOURNAL).removeprefix("//")
+    named = error.filename is not None
+    return str(error.filename).startswith(file) if named else not isinstance(error, BrokenPipeError)
 
 
 def without_password(storage: str | PathLike[str]) -> str:

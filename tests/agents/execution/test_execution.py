@@ -1,6 +1,7 @@
 """Units of work: the same results by every engine, done once, however workers end."""
 
 import math
+import os
 import re
 import socket
 import sys
@@ -214,6 +215,16 @@ def test_a_folder_of_units_that_cannot_be_one_is_refused_before_the_work(tmp_pat
         pytest.raises(FileError, match="file"),
         ExecutionOptions(processes=2, units=tmp_path / "file").open_runner(),
     ):
+        pass
+
+
+@pytest.mark.slow
+def test_a_folder_that_submitit_cannot_have_is_named(tmp_path):
+    pytest.importorskip("submitit", reason="submitit is not installed: it is an extra")
+    (tmp_path / "units").mkdir()
+    (tmp_path / f"units/submitit-{socket.gethostname()}-{os.getpid()}").write_text("")
+    options = ExecutionOptions(executor="submitit", units=tmp_path / "units")
+    with pytest.raises(FileError, match=r"submitit-.*is a file"), options.open_executor():
         pass
 
 
