@@ -17,11 +17,13 @@ import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
+from functools import lru_cache
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from agents.experiments import signs_of_life
+from agents.progress import display
 from agents.run_directory import InUseError, locked_folder
 from shake_env.errors import ParameterError, RunDirectoryError, ShakeError, install_hint
 from shake_env.files import file_errors, no_file
@@ -197,8 +199,16 @@ def may_begin(study: Any, total: int, finished: Callable[[], int]) -> bool:
     The parameters are those of `has_free_trial`.
     """
     while (free := has_free_trial(study, total, finished)) is None:
+        note_wait()
         time.sleep(POLL)
     return free
+
+
+@lru_cache(maxsize=1)
+def note_wait() -> None:
+    """Say, once, what a process waits for that has no trial."""
+    grace = f"{signs_of_life.GRACE} s without a sign of its process"
+    display.note(f"waits for trials of other processes; one is tried again after {grace}")
 
 
 def shared_sampler(seed: int, place: int) -> Any:
