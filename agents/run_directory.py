@@ -18,7 +18,7 @@ from shake_env.errors import FileError, RunDirectoryError, ShakeError
 from shake_env.files import file_errors, no_file, sync_folder, write_json
 
 CONFIG = "config.json"
-ENVIRONMENT = "environment.json"  # code and versions that began the run
+ENVIRONMENT = "environment.json"  # code and versions that made the run
 EVALUATIONS = "evaluations.jsonl"
 RESULT = "result.json"
 PROGRESS = "progress.json"

@@ -7,7 +7,7 @@ import json
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +65,8 @@ def replacing(path: Path) -> Iterator[Path]:
                 error.filename = str(path)
             raise
         finally:
-            partial.unlink(missing_ok=True)
+            with suppress(OSError):  # which would hide why it was not written
+                partial.unlink(missing_ok=True)
         sync_folder(path.parent)
 
 

@@ -49,7 +49,7 @@ class RunExperiments(CommandOptions):
     """Whether all rows are evaluated again, not only those of new policies."""
     any_code: bool = False
     """Whether runs count that other code, or other versions of the libraries, made or began; without it
-    they are named as failures and not gone on with."""
+    they are named as failures, and neither gone on with nor evaluated."""
     dry_run: bool = False
     """Print what would be run, with the minutes expected, and do nothing."""
 
@@ -66,7 +66,10 @@ class RunExperiments(CommandOptions):
             rows = plan_rows(tasks)
             minutes = campaign.seconds_left() / 60.0
             _print_plan(rows, minutes, campaign.workers, console)
-            return {"plan": rows, "minutes_left": minutes}
+            refused = campaign.failures()
+            for name, reason in refused.items():
+                console.print(f"would be refused: {name}: {reason}", highlight=False)
+            return {"plan": rows, "minutes_left": minutes, "refused": refused}
         require_writable(self.folder, "folder")
         if self.evaluate:
             require_writable(self.results, "results")
@@ -91,9 +94,14 @@ class RunExperiments(CommandOptions):
         from agents.experiments.results import evaluate_task
 
         trained = {run.experiment.evaluation_task for run in tasks}
+        foreign = {run.experiment.evaluation_task for run in tasks if run.state == "foreign"}
         written = []
         for task in EVALUATION_TASKS:
-            if (task.trained_on or task.name) not in trained:
+            runs = task.trained_on or task.name
+            if runs not in trained:
+                continue
+            if runs in foreign:  # whose policies would be evaluated with this campaign's
+                failures[f"evaluation of {task.name}"] = "waits for the runs that were refused"
                 continue
             try:
                 with progress_bar() as progress:

@@ -20,6 +20,7 @@ LIBRARIES = (
     "numpy", "scipy", "numba", "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "optuna",
     "control", "osqp",
 )  # fmt: skip
+SAME = "install the same version of this project and its constraints.txt on every machine"
 TOKEN = ".token"  # file by which a worker knows that it sees a folder
 
 
@@ -47,8 +48,7 @@ def require_same_environment(expected: dict[str, str]) -> None:
     if not differing:
         return
     pairs = ", ".join(f"{name} {own.get(name)} where {expected[name]} is needed" for name in differing)
-    remedy = "install the same version of this project and its constraints.txt on every machine"
-    raise WorkerError("worker", socket.gethostname(), f"has {pairs}: {remedy}")
+    raise WorkerError("worker", socket.gethostname(), f"has {pairs}: {SAME}")
 
 
 def folder_token(folder: str | PathLike[str]) -> str:

@@ -13,7 +13,7 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Any
 
-from agents.execution.environment import WorkerError, environment
+from agents.execution.environment import SAME, WorkerError, environment
 from agents.execution.worker import Call, Conditions, Outcome, pack_calls
 from agents.progress import display
 from shake_env.errors import ShakeError
@@ -125,12 +125,13 @@ class Executor(ABC):
                     members, attempt = running.pop(future)
                     try:
                         outcomes = future.result()
-                    except self.lost as error:
-                        if attempt < ATTEMPTS:
+                    except Exception as error:  # the engine's; what a call raised is an outcome
+                        gone = isinstance(error, self.lost)
+                        if gone and attempt < ATTEMPTS:
                             display.note(f"{taken[members[0]].name}: its worker was lost, tried again")
                             lost.appendleft((members, attempt + 1))
                             continue
-                        outcomes = [_failed(taken[i], error) for i in members]
+                        outcomes = [_failed(taken[i], error, gone) for i in members]
                     for index, outcome in zip(members, outcomes, strict=True):
                         for line in outcome.log.splitlines():
                             display.note(f"{taken[index].name}: {line}")
@@ -149,8 +150,15 @@ class Executor(ABC):
         self.shutdown()
 
 
-def _failed(call: Call, error: BaseException) -> Outcome:
-    reason = (str(error) or type(error).__name__).strip().splitlines()[0]
-    remedy = f"its worker was lost {ATTEMPTS} times, perhaps for lack of memory ({reason})"
+def _failed(call: Call, error: Exception, gone: bool) -> Outcome:
+    lines = (str(error) or type(error).__name__).strip().splitlines()
+    remedy = (
+        f"its worker was lost {ATTEMPTS} times ({lines[0]}): perhaps for lack of memory, which "
+        "--worker-memory gives"
+    )
+    if not gone:
+        # Engines put the worker's traceback, and words of their own, around its last line.
+        reason = next((line for line in reversed(lines) if "Error: " in line), lines[0])
+        remedy = f"its worker could not begin ({reason}): {SAME}"
     failure: ShakeError = WorkerError("unit", call.name, remedy)
     return Outcome(None, failure)

@@ -6,7 +6,9 @@ import multiprocessing
 import os
 import signal
 import threading
+from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 
 from agents.execution.executor import Executor
@@ -64,7 +66,8 @@ class _Worker:
         before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
         os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
         try:
-            self._future = self._pool.submit(perform_calls, content)
+            with _interruption_later():  # the process begins with it held back, until `_attach`
+                self._future = self._pool.submit(perform_calls, content)
         finally:
             for name, value in before.items():
                 if value is None:
@@ -82,9 +85,24 @@ class _Worker:
         self._reader.close()
 
 
+@contextmanager
+def _interruption_later() -> Iterator[None]:
+    """Hold Ctrl-C back, here and in processes that begin meanwhile, where the system can."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _attach(reader: Connection) -> None:
     """Bind a process to its parent; Ctrl-C is the parent's to handle."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
     def wait() -> None:
         try:

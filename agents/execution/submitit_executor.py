@@ -18,6 +18,7 @@ from typing import Any
 from agents.execution.executor import Executor
 from agents.execution.worker import THREAD_VARIABLES, Outcome, perform_calls
 from shake_env.errors import ParameterError, ShakeError, install_hint
+from shake_env.files import file_errors
 
 WAVES = 4  # jobs for each worker that many short calls become
 POLL = 0.2  # [s] between two looks at the jobs
@@ -56,7 +57,9 @@ class SubmititExecutor(Executor):
             raise ShakeError("submitit", "missing", install_hint("slurm")) from None
         super().__init__(workers, memory)
         self.lost = (submitit.core.utils.UncompletedJobError,)
-        self._engine = _engine(folder, memory, parameters)
+        with file_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            self._engine = _engine(folder, memory, parameters)
         self._folder = folder
         self._jobs: dict[Future[list[Outcome]], Any] = {}
         self._lock, self._over = threading.Lock(), threading.Event()
@@ -72,7 +75,8 @@ class SubmititExecutor(Executor):
         future: Future[list[Outcome]] = Future()
         # What watches a job on this machine ends with a traceback when it is interrupted.
         local = self._engine.cluster == "local"
-        with _errors_into(self._folder / "local.log") if local else nullcontext():
+        log = self._folder / "local.log"
+        with file_errors(self._folder), _errors_into(log) if local else nullcontext():
             job = self._engine.submit(perform_calls, content)
         with self._lock:
             self._jobs[future] = job

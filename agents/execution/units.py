@@ -129,6 +129,8 @@ class UnitRunner:
             try:
                 values[index] = decoded(file.read_bytes())
                 on_share(index, 1.0)
+            except FileNotFoundError:  # another command of these units has ended
+                missing.append(index)
             except FileError:
                 file.unlink(missing_ok=True)
                 missing.append(index)

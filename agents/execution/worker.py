@@ -6,6 +6,7 @@ import contextlib
 import io
 import logging
 import os
+import pickle
 import socket
 import sys
 import traceback
@@ -27,7 +28,7 @@ from agents.execution.environment import (
 )
 from agents.progress import LOGGERS
 from shake_env.errors import ShakeError
-from shake_env.files import write_bytes
+from shake_env.files import file_errors, write_bytes
 
 GIB = 2**30  # [byte]
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -87,18 +88,20 @@ def pack_calls(calls: list[Call], conditions: Conditions) -> bytes:
     for name, module in list(sys.modules.items()):
         if name.startswith("shake_own_"):  # a file's module, which no other process can import
             cloudpickle.register_pickle_by_value(module)
-    content: bytes = cloudpickle.dumps((calls, conditions))
-    return content
+    # A worker of other code may not be able to read the calls: what it needs to say so stands before.
+    packed = cloudpickle.dumps((calls, conditions))
+    return pickle.dumps((conditions.environment, len(calls), packed))
 
 
 def perform_calls(content: bytes) -> list[Outcome]:
     """Return the outcomes of calls that `pack_calls` packed; runs on the worker."""
-    calls, conditions = cloudpickle.loads(content)
+    expected, number, packed = pickle.loads(content)
     try:
-        require_same_environment(conditions.environment)
-        _bound_memory(conditions.memory)
+        require_same_environment(expected)
     except ShakeError as error:
-        return [Outcome(None, error) for _ in calls]
+        return [Outcome(None, error)] * number
+    calls, conditions = cloudpickle.loads(packed)
+    _bound_memory(conditions.memory)
     with contextlib.suppress(OSError):  # names of files and modules may be relative to it
         os.chdir(conditions.working_folder)
     return [outcome_of(call) for call in calls]
@@ -111,8 +114,9 @@ def outcome_of(call: Call) -> Outcome:
     try:
         if call.needs_folder and call.folder is not None:
             require_shared_folder(*call.folder)
-        if shared and call.file is not None and call.file.exists():
-            return Outcome(call.file.read_bytes(), None)
+        if shared and call.file is not None:
+            with contextlib.suppress(FileNotFoundError):
+                return Outcome(call.file.read_bytes(), None)
         with _log(call, lines), threadpool_limits(1):
             content = encoded(_run(call))
         if shared and call.file is not None:
@@ -142,8 +146,9 @@ def _log(call: Call, lines: TextIO) -> Iterator[None]:
     """Let what a call prints and logs go to its log."""
     with contextlib.ExitStack() as stack:
         if call.log is not None:
-            call.log.parent.mkdir(parents=True, exist_ok=True)
-            lines = stack.enter_context(call.log.open("w", encoding="utf-8", buffering=1))
+            with file_errors(call.log):
+                call.log.parent.mkdir(parents=True, exist_ok=True)
+                lines = stack.enter_context(call.log.open("w", encoding="utf-8", buffering=1))
         stack.enter_context(contextlib.redirect_stdout(lines))
         stack.enter_context(contextlib.redirect_stderr(lines))
         handler = logging.StreamHandler(lines)

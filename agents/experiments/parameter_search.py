@@ -7,8 +7,9 @@ in a storage that is shared.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any
@@ -16,11 +17,12 @@ from typing import Any
 from agents.execution.encoding import decoded
 from agents.execution.executor import Executor
 from agents.execution.worker import Call
-from agents.experiments.signs_of_life import sign_of_life
+from agents.experiments.signs_of_life import queue_again, sign_of_life
 from agents.experiments.study_storage import (
     has_free_trial,
     is_shared,
     may_begin,
+    note_wait,
     open_study,
     shared_sampler,
 )
@@ -95,7 +97,7 @@ def search_parameters(
     if executor is None:
         while may_begin(study, total, lambda: _finished(study)):
             trial = study.ask(distributions)
-            with sign_of_life(study, trial):
+            with _at_work(study, trial, shared):
                 try:
                     study.tell(trial, cost(dict(trial.params)))
                 except Exception:
@@ -104,7 +106,7 @@ def search_parameters(
             on_trial(_finished(study), total, study.best_value)
     else:
         assert call is not None
-        _search_by(executor, call, study, distributions, total, on_trial)
+        _search_by(executor, call, study, distributions, total, on_trial, shared)
     default = _value_at(study, starts[0])
     default = cost(dict(starts[0])) if default is None else default
     return StudyResult(
@@ -119,6 +121,7 @@ def _search_by(
     distributions: Mapping[str, Any],
     total: int,
     on_trial: OnTrial,
+    shared: bool,
 ) -> None:
     """Have an executor's workers compute the costs of a study's trials, one each at a time."""
     handed: list[tuple[Any, ExitStack]] = []  # trials and their signs of life
@@ -132,11 +135,13 @@ def _search_by(
             if free is False:
                 return
             if free is None:
+                if not at_work:
+                    note_wait()
                 yield None
                 continue
             trial = study.ask(distributions)
             sign = ExitStack()
-            sign.enter_context(sign_of_life(study, trial))
+            sign.enter_context(_at_work(study, trial, shared))
             at_work.add(len(handed))
             handed.append((trial, sign))
             yield call(trial.number, dict(trial.params))
@@ -150,7 +155,19 @@ def _search_by(
             on_trial(_finished(study), total, study.best_value)
     finally:
         for _, sign in handed:
-            sign.close()
+            sign.__exit__(*sys.exc_info())  # tells those that are at work of an error
+
+
+@contextmanager
+def _at_work(study: Any, trial: Any, shared: bool) -> Iterator[None]:
+    """Give a sign of life of a trial; one that is cut is queued again, before that would be missed."""
+    with sign_of_life(study, trial):
+        try:
+            yield
+        except BaseException:
+            if shared:
+                queue_again(study, study.trials[trial.number])
+            raise
 
 
 def _value_at(study: Any, start: Mapping[str, float]) -> float | None:

@@ -16,7 +16,7 @@ from agents.execution.worker import Call, Outcome
 from agents.experiments.catalogue import ExperimentConfig
 from agents.experiments.run_watch import RunWatch, log_of
 from agents.experiments.worker import train_run
-from agents.run_directory import CONFIG
+from agents.run_directory import CONFIG, POLICY
 from agents.training.checkpoint import checkpoint_steps, checkpoints
 from agents.training.config import TrainConfig, require_same
 from agents.training.run import is_finished, require_beginnable, require_this_code
@@ -52,7 +52,8 @@ class Task:
                 require_beginnable(self.config, self.run)
                 return
             require_same(self.config, self.run, "move it away")
-            if not self.any_code:
+            begun = (self.run / POLICY).exists() or bool(checkpoints(self.run))
+            if begun and not self.any_code:
                 require_this_code(self.run, "move it away, or count it with --any-code")
         except RunDirectoryError as error:  # also that of another version, or damaged
             self.state, self.failure = "foreign", str(error)
@@ -234,6 +235,7 @@ def plan_rows(tasks: Sequence[Task]) -> list[dict[str, Any]]:
         row["runs"] += 1
         row["done"] += task.state == "done"
         row["steps"] = task.config.steps
-        row["minutes_left"] += task.experiment.minutes * (1.0 - task.share)
+        if task.state != "foreign":
+            row["minutes_left"] += task.experiment.minutes * (1.0 - task.share)
         row["why"] = task.experiment.why
     return list(rows.values())

@@ -22,6 +22,7 @@ from agents.experiments.controller_tuning import FAILED
 from agents.experiments.run_watch import RunWatch, log_of
 from agents.experiments.search_objective import OutOfTimeError, PrunedError, ValidationSet
 from agents.experiments.search_trials import BegunTrial, SearchTrials
+from agents.experiments.study_storage import note_wait
 from agents.experiments.worker import train_run
 from agents.policies.policy_file import load_policy
 from agents.progress import Progress
@@ -96,6 +97,8 @@ def train_by(
             if free is False:
                 return
             if free is None:
+                if not at_work:
+                    note_wait()
                 yield None
                 continue
             one = _HandedTrial(trials.begin())

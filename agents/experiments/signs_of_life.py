@@ -105,8 +105,15 @@ def retry_lost_trials(study: Any) -> None:
         if trial.number not in seen or seen[trial.number][0] != beats:
             seen[trial.number] = beats, now
         elif now - seen[trial.number][1] > GRACE:
-            try:
-                study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
-            except (ValueError, RuntimeError):  # another process has told
-                continue
-            _retry()(study, trial)
+            queue_again(study, trial)
+
+
+def queue_again(study: Any, trial: Any) -> None:
+    """Give up a running trial of a shared study, as the study has it, and queue its values again."""
+    import optuna
+
+    try:
+        study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
+    except (ValueError, RuntimeError):  # another process has told
+        return
+    _retry()(study, trial)

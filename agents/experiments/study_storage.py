@@ -17,11 +17,13 @@ import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
+from functools import lru_cache
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from agents.experiments import signs_of_life
+from agents.progress import display
 from agents.run_directory import InUseError, locked_folder
 from shake_env.errors import ParameterError, RunDirectoryError, ShakeError, install_hint
 from shake_env.files import file_errors, no_file
@@ -197,8 +199,16 @@ def may_begin(study: Any, total: int, finished: Callable[[], int]) -> bool:
     The parameters are those of `has_free_trial`.
     """
     while (free := has_free_trial(study, total, finished)) is None:
+        note_wait()
         time.sleep(POLL)
     return free
+
+
+@lru_cache(maxsize=1)
+def note_wait() -> None:
+    """Say, once, what a process waits for that has no trial."""
+    grace = f"{signs_of_life.GRACE} s without a sign of its process"
+    display.note(f"waits for trials of other processes; one is tried again after {grace}")
 
 
 def shared_sampler(seed: int, place: int) -> Any:
@@ -213,7 +223,7 @@ def shared_sampler(seed: int, place: int) -> Any:
 
 @contextmanager
 def storage_errors(storage: str | PathLike[str]) -> Iterator[None]:
-    """Turn errors of a database, as they are or wrapped by Optuna, into a `ParameterError`.
+    """Turn errors of a database or a journal, as they are or wrapped, into a `ParameterError`.
 
     What Optuna calls experimental (heartbeats, journals, the proxy) is used without a warning.
     """
@@ -231,17 +241,27 @@ def storage_errors(storage: str | PathLike[str]) -> Iterator[None]:
         kinds = (
             sqlite3.Error, sqlalchemy.exc.SQLAlchemyError, ModuleNotFoundError, json.JSONDecodeError,
         )  # fmt: skip
-        while cause is not None and not isinstance(cause, kinds):
+        while cause is not None and not (isinstance(cause, kinds) or _of_journal(cause, str(storage))):
             cause = cause.__cause__
         if cause is None or (isinstance(cause, ModuleNotFoundError) and not is_shared(storage)):
             raise
         while isinstance(cause.__cause__, sqlite3.Error):  # says it without SQLAlchemy's words
             cause = cause.__cause__
-        reason = (str(cause) or type(cause).__name__).strip().splitlines()[0]
+        words = cause.strerror if isinstance(cause, OSError) else str(cause)
+        reason = (words or type(cause).__name__).strip().splitlines()[0]
         remedy = f"cannot be used ({reason}): free some space, or name another file"
-        if is_shared(storage):
+        if is_shared(storage) and not isinstance(cause, OSError):
             remedy = f"cannot be used ({reason}): is the server reachable, and its driver installed?"
         raise ParameterError("storage", without_password(storage), remedy) from error
+
+
+def _of_journal(error: BaseException, storage: str) -> bool:
+    """Return whether an error is the operating system's with a journal, whose writes name no file."""
+    if not storage.startswith(_JOURNAL) or not isinstance(error, OSError) or error.errno is None:
+        return False
+    file = storage.removeprefix(_JOURNAL).removeprefix("//")
+    named = error.filename is not None
+    return str(error.filename).startswith(file) if named else not isinstance(error, BrokenPipeError)
 
 
 def without_password(storage: str | PathLike[str]) -> str:

@@ -251,11 +251,23 @@ def _train_on(
         first = run / FIRST
         model, env, _ = _new(config, first if first.exists() else first_file(config))
         forget_attempt(run)
+        write_json(run / ENVIRONMENT, environment())
     else:
+        _note_environment(run / ENVIRONMENT)
         env = training_tables(config, config.scenario.build())
         torch.set_num_threads(config.threads)
         model = load_checkpoint(run, config, env)
     return _run(model, config, env, run, report, command)
+
+
+def _note_environment(file: Path) -> None:
+    """Add this process's code and versions to those that a run was made by; nothing if none are told."""
+    if not file.exists():
+        return
+    made, own = read_json(file, RunDirectoryError, "environment", largest=2**20), environment()
+    other = [name for name in own if name in made and str(made[name]).split(", ")[-1] != own[name]]
+    if other:
+        write_json(file, made | {name: f"{made[name]}, {own[name]}" for name in other})
 
 
 def _run(

@@ -47,6 +47,16 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path):
     assert [f.name for f in file.parent.iterdir()] == ["a.json"]
 
 
+def test_a_folder_that_turns_read_only_names_the_file_itself(tmp_path, monkeypatch):
+    def refuses(path, *arguments, **options):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+
+    monkeypatch.setattr(Path, "write_bytes", refuses)
+    monkeypatch.setattr(Path, "unlink", refuses)
+    with pytest.raises(FileError, match=r"/a\.json'.*read-only"):
+        write_json(tmp_path / "a.json", {})
+
+
 @pytest.mark.parametrize(
     ("number", "remedy"),
     [(errno.ENOSPC, "disk is full"), (errno.EROFS, "read-only"), (errno.EACCES, "no permission")],

@@ -36,7 +36,8 @@ def refuses():
     raise ParameterError("mass", -1.0, "must be above 0")
 
 
-def distance(value, other):
+def distance(value, other, seconds=0.0):
+    time.sleep(seconds)
     return (value - other) ** 2
 
 

@@ -1,11 +1,13 @@
 """Units of work: the same results by every engine, done once, however workers end."""
 
 import math
+import os
 import re
 import socket
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+import types
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
@@ -151,6 +153,35 @@ def test_a_worker_of_another_version_is_named():
     assert "constraints.txt" in str(outcome.error)
 
 
+def test_a_worker_that_lacks_a_calls_module_names_the_versions_or_what_it_lacks(monkeypatch):
+    module = types.ModuleType("of_other_code")
+    exec("def work(): pass", vars(module))
+    with monkeypatch.context() as here:
+        here.setitem(sys.modules, module.__name__, module)
+        calls = [Call("x", module.work)] * 2
+        content = pack_calls(calls, Conditions({**environment(), "code": "0" * 16}, "."))
+    outcomes = perform_calls(content)
+    assert len(outcomes) == 2 and all("constraints.txt" in str(each.error) for each in outcomes)
+
+    class Broken(LocalExecutor):
+        def submit(self, content):
+            future = Future()
+            future.set_exception(RuntimeError("worker's:\nModuleNotFoundError: No module 'agents'\nbye"))
+            return future
+
+    with Broken(1) as executor:
+        outcomes = dict(executor.results([Call("x", says, ("x",)), Call("y", says, ("y",))]))
+    for index, name in enumerate("xy"):
+        assert re.search(rf"'{name}'.*No module 'agents'\).*constraints", str(outcomes[index].error))
+
+
+def test_a_log_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    call = Call("x", says, ("x",), log=tmp_path / "file" / "x.log")
+    (outcome,) = perform_calls(pack_calls([call], Conditions(environment(), ".")))
+    assert isinstance(outcome.error, FileError) and str(tmp_path / "file") in str(outcome.error)
+
+
 def test_a_folder_that_a_worker_does_not_share_is_named(tmp_path):
     token = folder_token(tmp_path)
     assert folder_token(tmp_path) == token
@@ -184,6 +215,16 @@ def test_a_folder_of_units_that_cannot_be_one_is_refused_before_the_work(tmp_pat
         pytest.raises(FileError, match="file"),
         ExecutionOptions(processes=2, units=tmp_path / "file").open_runner(),
     ):
+        pass
+
+
+@pytest.mark.slow
+def test_a_folder_that_submitit_cannot_have_is_named(tmp_path):
+    pytest.importorskip("submitit", reason="submitit is not installed: it is an extra")
+    (tmp_path / "units").mkdir()
+    (tmp_path / f"units/submitit-{socket.gethostname()}-{os.getpid()}").write_text("")
+    options = ExecutionOptions(executor="submitit", units=tmp_path / "units")
+    with pytest.raises(FileError, match=r"submitit-.*is a file"), options.open_executor():
         pass
 
 

@@ -14,7 +14,9 @@ import pytest
 
 from agents.__main__ import main
 from agents.evaluation.protocol import evaluate, find_entry
+from agents.execution.environment import environment
 from agents.execution.local_executor import LocalExecutor
+from agents.experiments import catalogue
 from agents.experiments.catalogue import EVALUATION_TASKS, EXPERIMENTS, EvaluationTask, ExperimentConfig
 from agents.experiments.results import evaluate_task
 from agents.experiments.runner import Campaign, plan_rows, plan_runs
@@ -124,6 +126,50 @@ def test_a_run_of_other_code_counts_only_where_that_is_asked_for(campaigned, tmp
         assert task.state == "foreign" and "--any-code" in task.failure
         assert values is None or next(iter(set(values.values()) - set(made.values()))) in task.failure
     assert plan_runs([GOOD], folder, any_code=True)[0].state == state
+
+
+def test_a_run_that_other_code_began_and_this_code_ended_counts_for_neither(campaigned, tmp_path):
+    folder = tmp_path / "campaign"
+    shutil.copytree(campaigned[0], folder)
+    run = folder / "linear/ppo/0"
+    (run / "result.json").unlink()
+    file, own = run / "environment.json", environment()
+    file.write_text(json.dumps({**own, "code": "0" * 16}))
+    resume(run)
+    assert json.loads(file.read_text()) == {**own, "code": f"{'0' * 16}, {own['code']}"}
+    resume(run)  # done: nothing is added
+    (task,) = plan_runs([GOOD], folder)
+    assert task.state == "foreign" and own["code"] in task.failure
+
+
+def test_an_attempt_of_other_code_without_a_checkpoint_begins_anew(tmp_path):
+    run = tmp_path / "linear/ppo/0"
+    run.mkdir(parents=True)
+    (run / "config.json").write_text(json.dumps(SMALL.to_json()))
+    (run / "environment.json").write_text(json.dumps({**environment(), "code": "0" * 16}))
+    assert plan_runs([GOOD], tmp_path)[0].state == "waiting"
+    train_or_resume(SMALL, run)
+    assert plan_runs([GOOD], tmp_path)[0].state == "done"
+
+
+def test_runs_that_are_refused_are_named_by_a_plan_and_not_evaluated(
+    campaigned, tmp_path, monkeypatch, capsys
+):
+    folder = tmp_path / "campaign"
+    shutil.copytree(campaigned[0], folder)
+    (folder / "linear/ppo/0/environment.json").write_text(json.dumps({**environment(), "code": "0"}))
+    monkeypatch.setattr(catalogue, "EXPERIMENTS", (GOOD,))
+    words = ["run-experiments", "--folder", str(folder), "--results", str(tmp_path / "out"), "--json"]
+    assert main([*words, "--dry-run"]) == 0
+    plan = json.loads(capsys.readouterr().out)
+    assert list(plan["refused"]) == ["linear/ppo/0"]
+    assert plan["minutes_left"] == plan["plan"][0]["minutes_left"] == 0.0
+    assert main(words) == 1
+    assert list(json.loads(capsys.readouterr().out)["failures"]) == [
+        "linear/ppo/0",
+        "evaluation of linear",
+    ]
+    assert not list((tmp_path / "out").glob("*"))
 
 
 def test_an_evaluation_holds_until_its_policies_change(campaigned, tmp_path, monkeypatch):

@@ -3,7 +3,8 @@
 import json
 import os
 import sqlite3
-from contextlib import closing
+import time
+from contextlib import closing, nullcontext
 
 import numpy as np
 import optuna
@@ -220,6 +221,36 @@ def test_workers_fill_a_study_that_others_may_share(tmp_path):
     states = [t.state.name for t in study.get_trials(deepcopy=False)]
     assert states == ["COMPLETE"] * 12
     assert (found.default_cost, found.cost, found.parameters) == (16.0, 0.0, {"x": 1.0})
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_an_interruption_leaves_no_trial_that_others_wait_for(workers, tmp_path):
+    storage = f"journal:{tmp_path / 'study'}"
+
+    def search(cost, seconds=0.0, on_trial=lambda *told: None):
+        def call(number, values):
+            return Call("x", unit_calls.distance, (values["x"], 1.0, seconds * number))
+
+        x, starts = Tunable(0.0, 10.0, 5.0, logarithmic=False), [{"x": 5.0}, {"x": 1.0}, {"x": 2.0}]
+        with LocalExecutor(workers) if workers else nullcontext() as executor:
+            return search_parameters(
+                cost, {"x": x}, storage, "study", 4, 0, on_trial, starts, executor, call
+            )
+
+    def cut(*told):
+        raise KeyboardInterrupt
+
+    with storage_errors(storage):
+        with pytest.raises(KeyboardInterrupt):
+            search(cut, 60.0, cut)
+        study, _ = open_study(storage, "study")
+        states = [t.state.name for t in study.get_trials(deepcopy=False)]
+        assert "RUNNING" not in states and states.count("FAIL") == 1
+        began = time.monotonic()
+        found = search(lambda values: (values["x"] - 1.0) ** 2)
+        assert time.monotonic() - began < 60.0  # without the time after which a sign of life is missed
+        values = [t.params["x"] for t in study.get_trials(deepcopy=False) if t.value is not None]
+    assert found.trials == 4 == len(values) and {5.0, 1.0, 2.0} < set(values)
 
 
 def test_a_storage_that_no_controller_can_use_ends_the_search_of_all(tmp_path):

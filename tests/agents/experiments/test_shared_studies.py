@@ -1,5 +1,6 @@
 """Several processes on one study: no trial lost or doubled, a killed one's tried again."""
 
+import errno
 import getpass
 import os
 import shutil
@@ -270,6 +271,23 @@ def test_storages_are_told_apart_and_keep_their_password():
     assert not is_shared(Path("runs/tune.db")) and not is_shared("C:/tune.db")
     assert "secret" not in without_password("mysql+pymysql://me:secret@host/name")
     assert without_password("journal:x.log") == "journal:x.log"
+
+
+@pytest.mark.parametrize("filename", [None, "study.journal.lock"])
+def test_a_journal_that_cannot_be_written_is_named(filename):
+    full = OSError(errno.ENOSPC, "No space left on device", filename)
+    with (
+        pytest.raises(ParameterError, match=r"study.journal'.*\(No space left.*free some space"),
+        storage_errors("journal:study.journal"),
+    ):
+        raise full
+    for storage, error in (
+        ("journal:study.journal", OSError(errno.ENOSPC, "No space left on device", "another")),
+        ("journal:study.journal", BrokenPipeError(errno.EPIPE, "Broken pipe")),
+        ("study.db", full),
+    ):
+        with pytest.raises(OSError, match=error.strerror), storage_errors(storage):
+            raise error
 
 
 @pytest.mark.parametrize(
