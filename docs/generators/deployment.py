@@ -79,7 +79,7 @@ def times(result: list[dict[str, Any]]) -> str:
         "C float, median", "worst, clock", "numpy, median",
     )  # fmt: skip
     return (
-        "One decision of 100 000 on two cores, beside other work (`python -m benchmarks.exported`).\n\n"
+        "One decision of 100 000 on two cores of a virtual machine without other work (`python -m benchmarks.exported`).\n\n"
         + table(head, rows)
     )
 
@@ -110,7 +110,11 @@ def rehearsals(result: list[dict[str, Any]]) -> str:
         "rehearsal", "tests", "periods", "faults injected", "unnoticed", "misses not injected",
         "of them in a stall", "longest stall [us]", "limits broken", *times,
     )  # fmt: skip
-    return "Rehearsals of the C program `lqg` in `laboratory`.\n\n" + table(head, rows)
+    text = (
+        "Rehearsals of the C program `lqg` in `laboratory`, on a virtual machine that its host stops now and "
+        "then.\n\n"
+    )
+    return text + table(head, rows)
 
 
 def _known(number: float | None) -> str:
