@@ -79,8 +79,8 @@ def times(result: list[dict[str, Any]]) -> str:
         "C float, median", "worst, clock", "numpy, median",
     )  # fmt: skip
     return (
-        "One decision of 100 000 on two cores of a virtual machine without other work (`python -m benchmarks.exported`).\n\n"
-        + table(head, rows)
+        "One decision of 100 000 on two cores of a virtual machine without other work "
+        "(`python -m benchmarks.exported`).\n\n" + table(head, rows)
     )
 
 
@@ -111,8 +111,8 @@ def rehearsals(result: list[dict[str, Any]]) -> str:
         "of them in a stall", "longest stall [us]", "limits broken", *times,
     )  # fmt: skip
     text = (
-        "Rehearsals of the C program `lqg` in `laboratory`, on a virtual machine that its host stops now and "
-        "then.\n\n"
+        "Rehearsals of the C program `lqg` in `laboratory`, on a virtual machine that its host stops "
+        "now and then.\n\n"
     )
     return text + table(head, rows)
 
