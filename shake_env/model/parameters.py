@@ -14,7 +14,7 @@ from itertools import islice
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.linalg import eigh
+import scipy  # loads scipy.linalg on first use, which takes a third of a second
 
 from shake_env.errors import ParameterError
 from shake_env.model.matrices import FloatArray as FloatArray
@@ -284,7 +284,7 @@ class Specimen:
     def fixed_base_frequencies(self) -> FloatArray:
         """Undamped natural frequencies on a fixed base, (stories,) [Hz], rising."""
         if self.coupled:
-            squares = eigh(self.stiffness_matrix, self.mass_matrix, eigvals_only=True)
+            squares = scipy.linalg.eigh(self.stiffness_matrix, self.mass_matrix, eigvals_only=True)
         else:
             root = np.sqrt(np.asarray(self.masses))
             squares = np.linalg.eigvalsh(self.stiffness_matrix / np.outer(root, root))

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy  # loads scipy.linalg on first use, which takes a third of a second
 from numpy.typing import ArrayLike
-from scipy.linalg import eigh
 
 from shake_env.errors import ParameterError
 from shake_env.model.parameters import FloatArray, Specimen, replace_unchecked
@@ -128,7 +128,7 @@ def damped_specimen(specimen: Specimen) -> Specimen:
         critical = 2.0 * np.sqrt(np.multiply(specimen.masses, specimen.stiffnesses))
         return replace_unchecked(specimen, dampings=np.maximum(specimen.dampings, 0.01 * critical))
     M, C = specimen.mass_matrix, specimen.damping_matrix
-    squares, shapes = eigh(specimen.stiffness_matrix, M)
+    squares, shapes = scipy.linalg.eigh(specimen.stiffness_matrix, M)
     missing = 0.02 * np.sqrt(squares) - np.einsum("im,ij,jm->m", shapes, C, shapes)
     weighed = M @ shapes
     return replace_unchecked(
@@ -150,7 +150,7 @@ def _matrix(values: ArrayLike) -> FloatArray:
 def _modes(M: FloatArray, K: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return frequencies (floors,) [rad/s] and mass-normalised shapes (floors, floors)."""
     try:
-        squares, shapes = eigh(K, M)
+        squares, shapes = scipy.linalg.eigh(K, M)
     except np.linalg.LinAlgError as error:
         raise ParameterError("mass", M, f"is not positive definite: {error}") from None
     if not squares[0] > 0.0:

@@ -20,8 +20,10 @@ from agents.cli.commands import COMMANDS, parse
 from agents.progress import Display, progress_bar
 
 ROOT = Path(__file__).parents[3]
-HEAVY = ("torch", "stable_baselines3", "matplotlib", "pandas", "numba", "scipy.signal", "scipy.stats",
-         "scipy.optimize", "control")  # fmt: skip
+HEAVY = (
+    "torch", "stable_baselines3", "matplotlib", "pandas", "numba", "scipy.linalg", "scipy.signal",
+    "scipy.stats", "scipy.optimize", "control",
+)  # fmt: skip
 
 
 def shake(*words, **options):
