@@ -8,6 +8,7 @@ in a storage that is shared.
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -17,8 +18,9 @@ from typing import Any
 from agents.execution.encoding import decoded
 from agents.execution.executor import Executor
 from agents.execution.worker import Call
-from agents.experiments.signs_of_life import queue_again, sign_of_life
+from agents.experiments.signs_of_life import queue_again, retry_lost_trials, sign_of_life
 from agents.experiments.study_storage import (
+    POLL,
     has_free_trial,
     is_shared,
     may_begin,
@@ -108,6 +110,11 @@ def search_parameters(
         assert call is not None
         _search_by(executor, call, study, distributions, total, on_trial, shared)
     default = _value_at(study, starts[0])
+    while default is None and _is_at_work(study, starts[0]):  # in another process
+        note_wait()
+        retry_lost_trials(study)
+        time.sleep(POLL)
+        default = _value_at(study, starts[0])
     default = cost(dict(starts[0])) if default is None else default
     return StudyResult(
         dict(study.best_params), float(study.best_value), float(default), _finished(study)
@@ -174,6 +181,10 @@ def _value_at(study: Any, start: Mapping[str, float]) -> float | None:
     """Return the cost of the first finished trial of these values, None if there is none."""
     values = (t.value for t in study.trials if t.value is not None and t.params == dict(start))
     return next(values, None)
+
+
+def _is_at_work(study: Any, start: Mapping[str, float]) -> bool:
+    return any(t.state.name == "RUNNING" and t.params == dict(start) for t in study.trials)
 
 
 def _finished(study: Any) -> int:

@@ -5,6 +5,7 @@ import os
 import sqlite3
 import time
 from contextlib import closing, nullcontext
+from threading import Timer
 
 import numpy as np
 import optuna
@@ -251,6 +252,24 @@ def test_an_interruption_leaves_no_trial_that_others_wait_for(workers, tmp_path)
         assert time.monotonic() - began < 60.0  # without the time after which a sign of life is missed
         values = [t.params["x"] for t in study.get_trials(deepcopy=False) if t.value is not None]
     assert found.trials == 4 == len(values) and {5.0, 1.0, 2.0} < set(values)
+
+
+def test_the_defaults_cost_is_waited_for_where_another_process_computes_it(tmp_path):
+    x, storage = Tunable(0.0, 10.0, 5.0, logarithmic=False), f"journal:{tmp_path / 'study'}"
+    with storage_errors(storage):
+        study, _ = open_study(storage, "study")
+        study.enqueue_trial({"x": 5.0})
+        other = study.ask()
+        values = [other.suggest_float("x", x.low, x.high), study.ask().suggest_float("x", x.low, x.high)]
+        study.tell(1, (values[1] - 1.0) ** 2)
+        later = Timer(1.2, lambda: study.tell(other, 16.0))
+        later.start()
+        found = search_parameters(
+            lambda values: pytest.fail(f"computed {values}"), {"x": x}, storage, "study", 1, 0,
+            lambda *told: None, [{"x": 5.0}],
+        )  # fmt: skip
+        later.join()
+    assert (found.default_cost, found.trials) == (16.0, 2)
 
 
 def test_a_storage_that_no_controller_can_use_ends_the_search_of_all(tmp_path):
