@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import logging
 import os
-import pickle
 import socket
 import sys
 import traceback
@@ -89,13 +89,15 @@ def pack_calls(calls: list[Call], conditions: Conditions) -> bytes:
         if name.startswith("shake_own_"):  # a file's module, which no other process can import
             cloudpickle.register_pickle_by_value(module)
     # A worker of other code may not be able to read the calls: what it needs to say so stands before.
-    packed = cloudpickle.dumps((calls, conditions))
-    return pickle.dumps((conditions.environment, len(calls), packed))
+    header = json.dumps([conditions.environment, len(calls)]).encode()
+    packed: bytes = cloudpickle.dumps((calls, conditions))
+    return header + b"\n" + packed
 
 
 def perform_calls(content: bytes) -> list[Outcome]:
     """Return the outcomes of calls that `pack_calls` packed; runs on the worker."""
-    expected, number, packed = pickle.loads(content)
+    header, _, packed = content.partition(b"\n")
+    expected, number = json.loads(header)
     try:
         require_same_environment(expected)
     except ShakeError as error:
