@@ -102,7 +102,7 @@ def search_parameters(
             with _at_work(study, trial, shared):
                 try:
                     study.tell(trial, cost(dict(trial.params)))
-                except Exception:
+                except Exception:  # of whatever kind: the study must not keep a trial that runs no more
                     study.tell(trial, state=optuna.trial.TrialState.FAIL)
                     raise
             on_trial(_finished(study), total, study.best_value)
