@@ -184,11 +184,9 @@ def perturbed_costs(
     controller: Controller, scenario: Scenario, earthquakes: Sequence[Earthquake]
 ) -> FloatArray:
     """Return costs (`PERTURBED`, earthquakes) of a controller whose actions differ in the last bit."""
-    runs = [
-        rollout(LastBit(controller, np.random.default_rng(seed)), scenario, earthquakes)[0]
-        for seed in range(PERTURBED)
-    ]
-    return np.array([[row.cost for row in rows] for rows in runs])
+    perturbed = LastBit(controller, np.random.default_rng(0))
+    tests, _ = rollout(perturbed, scenario, [*earthquakes] * PERTURBED)
+    return np.array([row.cost for row in tests]).reshape(PERTURBED, len(earthquakes))
 
 
 def action_differences(compiled: CompiledProgram, decisions: RecordedDecisions) -> FloatArray:

@@ -74,7 +74,7 @@ class TableRecords:
         """Return a field of each table (N, rows), a copy."""
         rows = self._packed.rows[name]
         held = (self._wholes if whole else self._records)[:, rows]
-        return np.moveaxis(held, 1, 2).reshape(self._padded, -1)[: self._tables.lanes].copy()
+        return held.swapaxes(1, 2).reshape(self._padded, -1)[: self._tables.lanes].copy()
 
     def _put(self, name: str, values: Any, whole: bool = False) -> None:
         """Write a field of each table (N, rows)."""
@@ -82,7 +82,7 @@ class TableRecords:
         held = np.zeros((self._padded, rows.stop - rows.start), np.int64 if whole else np.float64)
         held[: self._tables.lanes] = values
         target = self._wholes if whole else self._records
-        target[:, rows] = np.moveaxis(held.reshape(self._blocks, self._block, -1), 2, 1)
+        target[:, rows] = held.reshape(self._blocks, self._block, -1).swapaxes(1, 2)
 
     def ground(self, *, preview: bool = True) -> GroundPeriod:
         """Return the ground of the present period."""
@@ -98,7 +98,7 @@ class TableRecords:
         sizes, ring = self._packed.sizes, self._packed.rows["ring"].start
         cursor = int(self._wholes[0, self._packed.rows["cursor"].start, 0])
         start = ring + cursor * sizes["stride"]
-        held = np.moveaxis(self._records[:, start : start + sizes["width"]], 1, 2)
+        held = self._records[:, start : start + sizes["width"]].swapaxes(1, 2)
         present: FloatArray = held.reshape(self._padded, -1)[: self._tables.lanes].copy()
         return present
 
