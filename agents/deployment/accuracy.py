@@ -30,8 +30,9 @@ EXACT, SINGLE, COST = 1e-9, 1e-4, 1e-3  # of the action's range, and of a test's
 # Sensors that round, a supervisor that leaves out a reading where chi^2 > 36, and friction that holds a
 # table make loops in which runs that differ in the last bit of an action part, in double precision too.
 # Where a cost in single precision differs by more than `COST`, it must lie in the range of the costs of
-# such runs within `COST`.
-LAST_BIT, PERTURBED = 1e-7, 12  # relative change of an action, and number of such runs
+# such runs within `COST`. One run more lies outside of the range of n such runs with probability
+# 2 / (n + 1): of 12 every seventh would, of 99 every fiftieth.
+LAST_BIT, PERTURBED = 1e-7, 99  # relative change of an action, and number of such runs
 # A result within rounding of the middle between two float32 numbers may fall to either side, in Python
 # and in C. Such an action differs by one step of float32, and is the exception.
 STEP, EXCEPTIONS = 1.2e-7, 1e-4
