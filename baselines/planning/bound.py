@@ -2,9 +2,14 @@
 
 No law, whatever it is shown, costs less on that earthquake than the best sequence of currents. It is
 found by control-limited iterative LQR on the exact nonlinear period (`ilqr_kernel`), started from what
-controllers did: from each the cost only falls, so that what is found is no more than what they cost. On
-a linear plant without limits it is the global optimum. Elsewhere the problem has local optima: starts
-that end together say how far it is to be trusted, and a cost that was found is one that can be reached.
+controllers did, and what is found is no more than what they cost. On a linear plant without limits it
+is the global optimum. Elsewhere the problem has local optima: starts that end together say how far it is
+to be trusted, and a cost that was found is one that can be reached.
+
+Dry friction makes local optima wherever the table reverses. There each start is first improved on the
+plant with smoother friction, then with less and less smooth friction, and on the plant itself at the end
+(graduated smoothing, Pang, Suh, Yang and Tedrake, IEEE Transactions on Robotics 39, 2023, use the same
+for contact). The starts take different steps of smoothing, so that their agreement tells something.
 """
 
 from __future__ import annotations
@@ -23,7 +28,7 @@ from baselines.estimation.lqg import estimated
 from baselines.lqr.feedforward import FeedforwardLQR
 from baselines.lqr.preview import PreviewFeedback
 from baselines.planning.episodes import Episode, driven, episodes
-from baselines.planning.model import Plan
+from baselines.planning.model import Plan, PlanningModel
 from shake_env.controller import Controller, decide
 from shake_env.model.parameters import FloatArray
 from shake_env.rollout import Earthquake
@@ -32,6 +37,9 @@ from shake_env.scenario.scenario import Scenario
 THREADS = 2  # earthquakes that are searched at a time where there are many; no lock is held meanwhile
 ITERATIONS = 80
 TOLERANCE = 1e-5  # [-] of the cost: two iterations that save less end the search
+# Factors of the friction's smoothing velocity that a start passes, and each next one.
+SMOOTHER = ((16.0, 8.0, 4.0, 2.0), (32.0, 12.0, 6.0, 3.0, 1.5))
+SMOOTHER_ITERATIONS, SMOOTHER_TOLERANCE = 25, 1e-2  # on such a plant: it is only a better start
 PLACES = (0.01, 0.05)  # [m] what the starting laws weigh an error of place with; see `preview_lqr`
 
 
@@ -171,22 +179,33 @@ def optimum(
     model, T = episode.model, episode.periods
     results: list[Start] = []
     best: tuple[bool, float, Plan] | None = None
-    for name, given in starts.items():
+
+    def improved(on: PlanningModel, current: FloatArray, most: int, tolerance: float) -> Plan:
+        return on.improve(
+            current, np.zeros((1, on.states)), episode.target[None], episode.shear[None],
+            iterations=most, tolerance=tolerance,
+        )  # fmt: skip
+
+    smoother = model.scenario.parts.friction.active
+    for index, (name, given) in enumerate(starts.items()):
         current = np.zeros((1, T))
         current[0, : len(given)] = given[:T]
-
-        def improved(currents: FloatArray, most: int) -> Plan:
-            return model.improve(
-                currents, np.zeros((1, model.states)), episode.target[None], episode.shear[None],
-                iterations=most, tolerance=TOLERANCE,
-            )  # fmt: skip
-
         began = time.thread_time()
-        plan = improved(current, iterations)
+        first = float(improved(model, current, 0, 0.0).cost[0]) / T
+        plan, passed = None, 0
+        if smoother and iterations:
+            nearer = current
+            for factor in SMOOTHER[index % len(SMOOTHER)]:
+                easier = improved(
+                    model.with_smoother_friction(factor), nearer, SMOOTHER_ITERATIONS, SMOOTHER_TOLERANCE
+                )
+                nearer, passed = easier.current, passed + int(easier.iterations[0])
+            plan = improved(model, nearer, iterations, TOLERANCE)
+        if plan is None or plan.largest_ratio[0] > 1.0 or plan.cost[0] > first * T:
+            plan = improved(model, current, iterations, TOLERANCE)
         seconds = time.thread_time() - began
         feasible, cost = bool(plan.largest_ratio[0] <= 1.0), float(plan.cost[0]) / T
-        first = float(improved(current, 0).cost[0]) / T
-        results.append(Start(name, first, cost, feasible, int(plan.iterations[0]), seconds))
+        results.append(Start(name, first, cost, feasible, passed + int(plan.iterations[0]), seconds))
         if best is None or (feasible, -cost) > (best[0], -best[1]):
             best = (feasible, cost, plan)
     assert best is not None  # at least one start

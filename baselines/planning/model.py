@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -136,6 +136,16 @@ class PlanningModel:
             group=group,
             bounds=_bounds(scenario),
         )
+
+    def with_smoother_friction(self, factor: float) -> PlanningModel:
+        """Return the model with dry friction smoothed over `factor` times its velocity."""
+        parts = self.scenario.nonlinearity
+        friction = parts.friction
+        friction = replace(friction, smoothing_velocity=factor * friction.smoothing_velocity)
+        scenario = replace(self.scenario, nonlinearity=replace(parts, friction=friction))
+        scalars = compiled("period_kernel").scalars(scenario.parts)
+        *matrices, _, switches = self.arrays
+        return replace(self, scenario=scenario, arrays=(*matrices, scalars, switches))
 
     @property
     def states(self) -> int:
