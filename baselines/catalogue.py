@@ -14,7 +14,7 @@ from functools import partial
 from baselines.baseline import Baseline, Tunable
 from baselines.estimation.adaptive import certainty_equivalence
 from baselines.estimation.estimator_model import ModelError
-from baselines.estimation.lqg import estimated
+from baselines.estimation.lqg import estimated, full_state
 from baselines.iterative.ilc import norm_optimal_learning
 from baselines.iterative.transfer_function_iteration import IterationPlan, transfer_function_iteration
 from baselines.lqr.continuous import continuous_lqr
@@ -28,6 +28,7 @@ from baselines.lqr.sampled import LinearFeedback, lqr
 from baselines.planning.adaptive import AdaptivePredictiveControl
 from baselines.planning.model import PlanningModel
 from baselines.planning.nmpc import NMPCSettings, NonlinearPredictiveControl
+from baselines.planning.nonlinear_estimate import NonlinearEstimate
 from baselines.planning.planned import PlannedControl, plan_records
 from baselines.servo.disturbance_observer import DisturbanceObserver, ObserverDesign
 from baselines.servo.inverse_model import InverseDesign, InverseFeedForward
@@ -117,7 +118,9 @@ def _friction_feedforward(
     def make(full: Scenario) -> Controller:
         return FeedforwardLQR(full, position=_tolerance(full, displacement_tolerance))
 
-    return _estimated(scenario, make, model_error_scale)
+    if scenario.sensing.full_state and not scenario.delay:
+        return make(scenario)
+    return NonlinearEstimate(scenario, make(full_state(scenario)), model_error_scale)
 
 
 def _mpc(scenario: Scenario, *, displacement_tolerance: float, model_error_scale: float) -> Controller:
@@ -273,8 +276,11 @@ BASELINES: dict[str, Baseline] = {
     ),
     "lqr-friction-ff": Baseline(
         _friction_feedforward,
-        "preview LQR with friction and orifice feed-forward",
-        _ESTIMATED,
+        "preview LQR with friction and orifice feed-forward, behind an extended Kalman filter",
+        {
+            "displacement_tolerance": Tunable(0.0003, 1.0, 0.01, natural="high"),
+            "model_error_scale": Tunable(0.003, 30.0, 0.1, natural="low"),
+        },
     ),
     "mpc": Baseline(
         _mpc,

@@ -29,7 +29,6 @@ CASES = (
     ("laboratory", "mcs", False),
     ("laboratory", "inverse-ff", False),
     ("laboratory", "lqg", False),
-    ("laboratory", "lqr-friction-ff", False),
     ("laboratory", "apg", False),
     ("laboratory", "ppo", False),
     ("laboratory", "dagger", False),

@@ -24,7 +24,6 @@ from agents.deployment.accuracy import (
 )
 from agents.deployment.controller_program import controller_program
 from agents.deployment.exported import exported
-from agents.policies.registry import get_controller
 from shake_env import SCENARIO_NAMES, make_scenario
 from shake_env.errors import ShakeError
 from shake_env.files import write_text
@@ -73,8 +72,8 @@ def main() -> None:
             continue
         scenario = make_scenario(scenario_name)
         try:
-            get_controller(name, scenario)
-        except ShakeError:  # no controller of this name drives this table
+            controller_program(name, scenario, supervised=supervised)
+        except ShakeError:  # no controller of this name drives this table, or none with a C form
             continue
         result = agreement(name, scenario, supervised=supervised)
         rows.append(asdict(result) | {"good": result.good})

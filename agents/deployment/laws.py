@@ -21,6 +21,7 @@ from baselines.lqr.feedforward import NODES, WEIGHTS, FeedforwardLQR
 from baselines.lqr.integral import IntegralFeedback
 from baselines.lqr.preview import PreviewFeedback
 from baselines.lqr.sampled import LinearFeedback
+from baselines.planning.nonlinear_estimate import NonlinearEstimate
 from baselines.servo.disturbance_observer import DisturbanceObserver
 from baselines.servo.inverse_model import InverseFeedForward
 from baselines.servo.mcs import MCS
@@ -104,6 +105,15 @@ def _(controller: FeedforwardLQR, scenario: Scenario) -> Block:
         }  # fmt: skip
     summary = "preview LQR with friction and orifice feed-forward"
     return Block("friction_feedforward", summary, arrays=arrays, numbers=numbers)
+
+
+@block_of.register
+def _(controller: NonlinearEstimate, scenario: Scenario) -> Block:
+    raise ScenarioError(
+        "controller",
+        type(controller).__name__,
+        "has no C form: its filter steps the nonlinear model; lqg and lqg-dac have one",
+    )
 
 
 @block_of.register

@@ -68,8 +68,8 @@ class ExperimentConfig:
 
 # The nonlinear plan is the strongest classical controller: learned policies are compared with it, too.
 LABORATORY_BASELINES = (
-    "lqg", "lqg-dac", "h-infinity", "inverse-ff-tvc", "lqg-searched", "lqg-searched-force", "tvc",
-    "nmpc", "planned", "none",
+    "lqg", "lqg-dac", "lqr-friction-ff", "h-infinity", "inverse-ff-tvc", "lqg-searched",
+    "lqg-searched-force", "tvc", "nmpc", "planned", "none",
 )  # fmt: skip
 FRICTION = ScenarioOptions(set=("nonlinearity.friction.coulomb=300",))
 # A step of the physics as long as a control period does not resolve how friction turns about. LQR then
@@ -112,7 +112,9 @@ EVALUATION_TASKS: tuple[EvaluationTask, ...] = (
     EvaluationTask(
         name="field",
         options=ScenarioOptions("field"),
-        baselines=("lqg", "lqg-dac", "lqg-searched", "nmpc", "nmpc-adaptive", "none"),
+        baselines=(
+            "lqg", "lqg-dac", "lqr-friction-ff", "lqg-searched", "nmpc", "nmpc-adaptive", "none",
+        ),
         earthquakes=50,  # `nmpc-adaptive` takes half a minute of each
         fidelity=False,
     ),

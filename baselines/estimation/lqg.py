@@ -56,6 +56,7 @@ class EstimateMemory:
     reference: FloatArray  # (..., 2 stories) x~_S
     age: NDArray[np.intp]  # (...) periods since the episode's start
     inner: tuple[Any, ...] | None  # the law's own memory
+    nonlinear: Any = None  # what a nonlinear filter knows
 
 
 class EstimatedState:
@@ -88,7 +89,10 @@ class EstimatedState:
                 EstimatorModel.from_scenario(scenario, ModelError.from_scenario(scenario))
             )
         self.estimator = estimator
-        self.law = law
+        self._prepare(scenario, law, estimator.model)
+
+    def _prepare(self, scenario: Scenario, law: Controller, model: EstimatorModel) -> None:
+        self.law, self._model = law, model
         self._shown = scenario.observation
         self._layout = scenario.plant.layout
         self.recursion = ReferenceRecursion.from_scenario(scenario)
@@ -117,35 +121,51 @@ class EstimatedState:
         episode_start: NDArray[np.bool_] | None,
     ) -> EstimateMemory:
         """Return what is known at this instant, this observation included; actions as before it."""
-        model, lead, layout = self.estimator.model, observation.shape[:-1], self._layout
+        model, lead, layout = self._model, observation.shape[:-1], self._layout
         ground = observation[..., layout.ground]
         full = self._shown.sensing.full_state
         readings = observation[..., layout.controlled if full else self._shown.readings]
+        fresh = np.zeros(lead, dtype=bool)
         if last is None:
-            table, reference = np.zeros((*lead, model.order)), np.zeros((*lead, 2 * layout.stories))
-            actions, age, inner = np.zeros((*lead, model.commands + 1)), np.zeros(lead, np.intp), None
+            fresh |= True
+            reference, age, inner = np.zeros((*lead, 2 * layout.stories)), np.zeros(lead, np.intp), None
+            actions = np.zeros((*lead, model.commands + 1))
         else:
             actions, inner = last.actions, last.inner
             if self._shown.sensing.last_action:
                 shown = observation[..., self._shown.last_action]
                 actions = np.concatenate([actions[..., :-1], shown], axis=-1)
-            table = self.estimator.predict(last.table, actions)
             reference = self.recursion.advance(last.reference, last.ground, ground)
             age = last.age + 1
             if episode_start is not None:
-                fresh = np.reshape(np.asarray(episode_start, dtype=bool), lead)
-                table, reference, actions = (
-                    np.where(fresh[..., None], 0.0, part) for part in (table, reference, actions)
+                fresh |= np.reshape(np.asarray(episode_start, dtype=bool), lead)
+                reference, actions = (
+                    np.where(fresh[..., None], 0.0, part) for part in (reference, actions)
                 )
                 age = np.where(fresh, 0, age)
-        table = self.estimator.correct(table, readings, age)
+        table, nonlinear = self._estimate(last, actions, readings, age, fresh)
         if full:
             reference = observation[..., layout.reference]
-        return EstimateMemory(table, actions, ground, reference, age, inner)
+        return EstimateMemory(table, actions, ground, reference, age, inner, nonlinear)
+
+    def _estimate(
+        self,
+        last: EstimateMemory | None,
+        actions: FloatArray,
+        readings: FloatArray,
+        age: NDArray[np.intp],
+        fresh: NDArray[np.bool_],
+    ) -> tuple[FloatArray, Any]:
+        """Return the table's state (..., n), these readings included, and what else is remembered."""
+        if last is None:
+            table = np.zeros((*fresh.shape, self._model.order))
+        else:
+            table = np.where(fresh[..., None], 0.0, self.estimator.predict(last.table, actions))
+        return self.estimator.correct(table, readings, age), None
 
     def _look_ahead(self, observation: FloatArray, memory: EstimateMemory) -> FloatArray:
         """Return the full-state observation (..., m) of the instant at which this action acts."""
-        model, w = self.estimator.model, self._layout.filter_states
+        model, w = self._model, self._layout.filter_states
         preview = observation[..., self._shown.preview]
         known = np.concatenate([memory.ground, memory.reference, preview], axis=-1)
         exogenous = known @ self.predicted_ground.T

@@ -267,7 +267,7 @@ def test_the_adaptive_controller_is_exported(scenario, masses):
 
 
 SUITED = {
-    **dict.fromkeys(("lqg", "lqg-dac", "lqr-friction-ff", "dagger"), "laboratory"),
+    **dict.fromkeys(("lqg", "lqg-dac", "dagger"), "laboratory"),
     **dict.fromkeys(("multi-model", "adaptive"), "unknown-specimen"),
 }  # a scenario of those that linear does not suit
 
@@ -280,6 +280,10 @@ def test_every_controller_is_exported_or_refused_with_its_reason(name):
         assert f"has no C form: it {NOT_EXPORTED[name]}" in str(refused.value)
         return
     scenario = make_scenario(SUITED.get(name, "linear"))
+    if name == "lqr-friction-ff":
+        with pytest.raises(ScenarioError, match="its filter steps the nonlinear model"):
+            controller_program(name, make_scenario("laboratory"))
+        scenario = make_scenario("linear", {"fields": {"nonlinearity.friction.coulomb": 300.0}})
     if name == "adaptive":  # one specimen's frequency, so that the design is short
         mass = Uncertainty(mass_ratio=Uniform(0.1, 1.0))
         scenario = replace(scenario, uncertainty=mass)
