@@ -8,6 +8,7 @@ __getattr__, __all__ = names_of(
         "bound": ("OptimalEpisode", "optimal_episodes"),
         "ekf": ("ExtendedKalmanFilter",),
         "model": ("PlanningModel",),
+        "nonlinear_estimate": ("NonlinearEstimate",),
         "nmpc": ("NMPCSettings", "NonlinearPredictiveControl"),
         "planned": ("PlannedControl", "RecordPlan", "plan_records"),
     },
