@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -15,6 +14,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
+from agents.learning.law_batch import LawBatch
 from agents.policies.estimated_law import EstimatedLaw
 from shake_env.env import single_spaces
 from shake_env.model.inputs import batch_action
@@ -79,8 +79,7 @@ class ShakeTableVecEnv(VecEnv):
         self._returns = np.zeros(num_envs)
         self._observation = np.zeros((num_envs, scenario.observation.size), dtype=np.float32)
         self._shown = np.zeros((num_envs, len(self.base)), dtype=np.float32)
-        self.law_memory = np.zeros((num_envs, self.law.size if self.law else 0))
-        self._known = self.law_memory  # what the law knows at this observation
+        self._laws = LawBatch(self.law, num_envs) if self.law else None
 
     def reset(self) -> NDArray[np.float32]:
         """Start an episode in every lane; seeds given to ``seed`` are used once."""
@@ -100,11 +99,11 @@ class ShakeTableVecEnv(VecEnv):
         if self.law is None and not self._corrects and self.authority == 1.0:
             self._action = correction.copy()  # which the engine takes at any precision
             return
-        self._action = self.authority * correction.astype(float)
-        if self.law is not None:  # whose own action comes last of what it shows
-            self._action += self._shown[:, -1]
-            self.law_memory = self.law.keep(self._known, self._action.clip(-1.0, 1.0))
-        elif self._corrects:
+        if self._laws is not None:
+            self._action = self._laws.act(correction[:, None], self.authority, self._shown)
+            return
+        self._action = np.multiply(correction, self.authority, dtype=float)
+        if self._corrects:
             self._action += self._shown @ self.base
 
     def step_wait(
@@ -112,54 +111,36 @@ class ShakeTableVecEnv(VecEnv):
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Advance all tables; lanes whose episode ended come back with their next one begun."""
         result = self.simulation.step(self._action)
-        observation = result.observation
         true = result.reward
         self._returns += true
         scaled = true if self.reward_scale == 1.0 else self.reward_scale * true
         reward = scaled.astype(np.float32)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        self._observation = observation
-        shown, done = self._look(), result.terminated
+        self._observation, done = result.observation, result.terminated
+        shown = self._look(stepped=True)
         if result.ended:
             done = done | result.truncated
             lanes = np.flatnonzero(done)
             for lane in lanes:
                 infos[lane] = self._final_info(result, int(lane))
             self._returns[lanes] = 0.0
-            observation[lanes] = self._start(lanes.tolist())
-            self._look_at(lanes)
+            self._observation[lanes] = self._start(lanes.tolist())
+            self._look(lanes)
         return shown.copy(), reward, done, infos
 
-    def _look(self) -> NDArray[np.float32]:
-        """Return what is shown (N, n): the observation, and behind it what the law believes."""
-        if self.law is None:
+    def _look(
+        self, lanes: NDArray[np.intp] | None = None, *, stepped: bool = False
+    ) -> NDArray[np.float32]:
+        """Return what is shown (N, n): the observation, and behind it what the law believes.
+
+        Of some lanes it is made anew; `stepped` after a period under the actions given.
+        """
+        if self._laws is None:
             self._shown = self._observation
-            return self._shown
-        self._known, believed = self._believed(slice(None))
-        size = self._observation.shape[1]
-        self._shown = np.empty((self.num_envs, len(self.base)), dtype=np.float32)
-        self._shown[:, :size], self._shown[:, size:] = self._observation, believed
+        else:
+            age = self.simulation.step_count
+            self._laws.show(self._observation, age, self._shown, lanes=lanes, stepped=stepped)
         return self._shown
-
-    def _look_at(self, lanes: NDArray[np.intp]) -> None:
-        """Show some lanes anew, whose episodes have begun."""
-        if self.law is None:
-            return
-        self._known[lanes], believed = self._believed(lanes)
-        size = self._observation.shape[1]
-        self._shown[lanes, :size], self._shown[lanes, size:] = self._observation[lanes], believed
-
-    def _believed(self, lanes: Any) -> tuple[FloatArray, FloatArray]:
-        """Return what the law knows of some lanes, and what it shows of that, within bounds."""
-        assert self.law is not None  # the caller asked
-        known, believed = self.law.look(
-            self.law_memory[lanes],
-            self._observation[lanes].astype(float),
-            self.simulation.step_count[lanes],
-        )
-        if not math.isfinite(believed.sum()):
-            believed = np.nan_to_num(believed)
-        return known, believed.clip(-OBSERVATION_BOUND, OBSERVATION_BOUND)
 
     def _final_info(self, result: StepResult, lane: int) -> dict[str, Any]:
         return {
@@ -185,13 +166,17 @@ class ShakeTableVecEnv(VecEnv):
         begun: Mapping[int, np.random.Generator] = MappingProxyType({}),
     ) -> NDArray[np.float32]:
         """Start an episode in each lane: that of a stream `begun` for it, or the next of its own."""
-        self.law_memory[list(lanes)] = 0.0
         streams = [
             begun.get(lane) or episode_stream(stream)
             for lane in lanes
             if (stream := self._streams[lane])
         ]
         return self.simulation.start(lanes, streams)
+
+    @property
+    def law_memory(self) -> FloatArray:
+        """What the law behind an estimator remembers (N, M), before it sees the observation; a copy."""
+        return np.zeros((self.num_envs, 0)) if self._laws is None else self._laws.memory
 
     @property
     def observation(self) -> NDArray[np.float32]:
@@ -243,8 +228,8 @@ class ShakeTableVecEnv(VecEnv):
         for lane in lanes:
             infos[lane] = self._episode_info(int(lane), int(broken[lane]))
         self._returns[lanes] = 0.0
-        if law_memory is not None:
-            self.law_memory = law_memory
+        if law_memory is not None and self._laws is not None:
+            self._laws.memory = law_memory
         if len(lanes):
             self._observation[lanes] = self._start(lanes.tolist())
         return self._look().copy(), done, infos
@@ -270,6 +255,7 @@ class ShakeTableVecEnv(VecEnv):
         index = range(self.num_envs) if lanes is None else list(lanes)
         state = self.simulation.get_state(lanes)
         state["stream"] = stream_array([self._streams[lane] for lane in index])
+        state["law_memory"] = self.law_memory[index]
         for name, values in self._own().items():
             state[name] = values[index].copy()
         return state
@@ -291,22 +277,23 @@ class ShakeTableVecEnv(VecEnv):
         """
         index = range(self.num_envs) if lanes is None else list(lanes)
         own = self._own()
-        rest = {name: array for name, array in state.items() if name not in (*own, "stream")}
+        apart = (*own, "stream", "law_memory")
+        rest = {name: array for name, array in state.items() if name not in apart}
         self.simulation.set_state(rest, lanes)
         for lane, stream in zip(index, stream_array(state["stream"]), strict=True):
             self._streams[lane] = stream
         for name, values in own.items():
             values[index] = state[name]
+        if self._laws is not None:
+            memory = self._laws.memory
+            memory[index] = state["law_memory"]
+            self._laws.memory = memory
         self._look()
 
     def _own(self) -> dict[str, NDArray[Any]]:
         """Return what the environment keeps of its lanes beside the simulation, arrays of its own."""
-        self._observation, self.law_memory = self._observation.copy(), self.law_memory.copy()
-        return {
-            "returns": self._returns,
-            "observation": self._observation,
-            "law_memory": self.law_memory,
-        }
+        self._observation = self._observation.copy()
+        return {"returns": self._returns, "observation": self._observation}
 
     def close(self) -> None:
         """Release nothing: there are no workers."""

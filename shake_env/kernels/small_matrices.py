@@ -10,9 +10,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import float64, int64, njit
+from numba import njit
 
-from shake_env.kernels.compiling import cached, stamp
 from shake_env.model.parameters import FloatArray
 
 jit = njit(error_model="numpy", nogil=True)
@@ -278,107 +277,74 @@ def _steps(
             out[i, j] = running[i, j]
 
 
-_stack, _each = float64[:, :, ::1], float64[:, ::1]
+@jit
+def hold(a: FloatArray, b: FloatArray, scale: FloatArray, dt: float) -> Any:
+    """Return A, and what levels and slopes of the inputs add; see `discretization.first_order_hold`.
+
+    The model's B is level - slope, its B_next the slope. Of (n, n), (n, inputs) and (n,).
+    """
+    n, inputs = b.shape
+    size = n + 2 * inputs
+    room, x = np.empty((6, size, size)), np.empty((size, size))
+    moved, level, slope = np.empty((n, n)), np.empty((n, inputs)), np.empty((n, inputs))
+    for i in range(size):
+        for j in range(size):
+            x[i, j] = 1.0 if i >= n and j == i + inputs else 0.0
+    for i in range(n):
+        for j in range(n):
+            x[i, j] = a[i, j] * scale[j] / scale[i] * dt
+        for j in range(inputs):
+            x[i, n + j] = b[i, j] / scale[i] * dt
+    _exponential(x, room)
+    for i in range(n):
+        for j in range(n):
+            moved[i, j] = x[i, j] * scale[i] / scale[j]
+        for j in range(inputs):
+            level[i, j] = x[i, n + j] * scale[i]
+            slope[i, j] = x[i, n + inputs + j] * scale[i]
+    return moved, level, slope
 
 
-def _made() -> tuple[Any, Any, Any, Any]:
-    """Return the functions of stacks as numba keeps them on disk."""
-    number = stamp()
-
-    def holds(
-        a: FloatArray,
-        b: FloatArray,
-        scale: FloatArray,
-        dt: float,
-        moved: FloatArray,
-        level: FloatArray,
-        slope: FloatArray,
-    ) -> int:
-        """Write A, and what levels and slopes of the inputs add; see `discretization.first_order_hold`.
-
-        The model's B is level - slope, its B_next the slope. Of (P, n, n), (P, n, inputs) and (P, n).
-        """
-        n, inputs = b.shape[1], b.shape[2]
-        size = n + 2 * inputs
-        room, x = np.empty((6, size, size)), np.empty((size, size))
-        for p in range(len(a) if number else 0):
-            for i in range(size):
-                for j in range(size):
-                    x[i, j] = 1.0 if i >= n and j == i + inputs else 0.0
-            for i in range(n):
-                for j in range(n):
-                    x[i, j] = a[p, i, j] * scale[p, j] / scale[p, i] * dt
-                for j in range(inputs):
-                    x[i, n + j] = b[p, i, j] / scale[p, i] * dt
-            _exponential(x, room)
-            for i in range(n):
-                for j in range(n):
-                    moved[p, i, j] = x[i, j] * scale[p, i] / scale[p, j]
-                for j in range(inputs):
-                    level[p, i, j] = x[i, n + j] * scale[p, i]
-                    slope[p, i, j] = x[i, n + inputs + j] * scale[p, i]
-        return 0
-
-    def stationary_covariances(a: FloatArray, b: FloatArray, out: FloatArray) -> int:
-        """Write the stationary covariances (P, n, n) of ``x' = a x + b w``, b (P, n)."""
-        room = np.empty((6, a.shape[1], a.shape[1]))
-        for p in range(len(a) if number else 0):
-            _stationary(a[p], b[p], out[p], room)
-        return 0
-
-    def noise_maps(
-        power: FloatArray, scale: FloatArray, rows: FloatArray, index: FloatArray, out: FloatArray
-    ) -> int:
-        """Write maps of `ground._noise_map` to the rows `index` (P,) of a stack.
-
-        From the exponential (P, 2 n, 2 n) of `discretization.noise_covariance`, the states' scale and
-        two outputs' rows (P, 2, n). Returns how many are written before one is unsound.
-        """
-        n = scale.shape[1]
-        rank = (out.shape[2] - n) * 2 // (out.shape[1] - n)
-        moved, free, covariance = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
-        columns, column, none = np.empty((n, rank)), np.empty(n), np.empty((n, 0))
-        running, moving = np.empty((n, out.shape[2])), np.empty((n, out.shape[2]))
-        for p in range(len(index) if number else 0):
-            for i in range(n):
-                for j in range(n):
-                    moved[i, j], free[i, j] = power[p, n + j, n + i], power[p, i, n + j]
-            multiply(moved, free, covariance)
-            for i in range(n):
-                for j in range(i + 1):
-                    mean = 0.5 * (covariance[i, j] + covariance[j, i])
-                    covariance[i, j] = covariance[j, i] = mean
-            if not _noise_columns(covariance, columns, column):
-                return p
-            for i in range(n):
-                for j in range(n):
-                    moved[i, j] *= scale[p, i] / scale[p, j]
-                for j in range(rank):
-                    columns[i, j] *= scale[p, i]
-            _steps(moved, columns, none, rows[p], out[index[p]], running, moving)
-        return len(index)
-
-    def periods(
-        moved: FloatArray,
-        held: FloatArray,
-        later: FloatArray,
-        rows: FloatArray,
-        index: FloatArray,
-        out: FloatArray,
-    ) -> int:
-        """Write periods of many steps to the rows `index` (P,) of a stack."""
-        running = np.empty((moved.shape[1], out.shape[2]))
-        free = np.empty(running.shape)
-        for p in range(len(index) if number else 0):
-            _steps(moved[p], held[p], later[p], rows[p], out[index[p]], running, free)
-        return 0
-
-    return (
-        cached(int64(_stack, _stack, _each, float64, _stack, _stack, _stack), holds),
-        cached(int64(_stack, _each, _stack), stationary_covariances),
-        cached(int64(_stack, _each, _stack, int64[::1], _stack), noise_maps),
-        cached(int64(_stack, _stack, _stack, _stack, int64[::1], _stack), periods),
-    )
+@jit
+def stationary_covariance(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
+    """Write the stationary covariance (n, n) of ``x' = a x + b w``, b (n,); NaN where there is none."""
+    _stationary(a, b, out, np.empty((6, a.shape[0], a.shape[1])))
 
 
-holds, stationary_covariances, noise_maps, periods = _made()
+@jit
+def noise_map(power: FloatArray, scale: FloatArray, rows: FloatArray, out: FloatArray) -> bool:
+    """Write the map of `ground._noise_map`; return whether it is sound.
+
+    From the exponential (2 n, 2 n) of `discretization.noise_covariance`, the states' scale and two
+    outputs' rows (2, n).
+    """
+    n = len(scale)
+    rank = (out.shape[1] - n) * 2 // (out.shape[0] - n)
+    moved, free, covariance = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    columns, column = np.empty((n, rank)), np.empty(n)
+    for i in range(n):
+        for j in range(n):
+            moved[i, j], free[i, j] = power[n + j, n + i], power[i, n + j]
+    multiply(moved, free, covariance)
+    for i in range(n):
+        for j in range(i + 1):
+            mean = 0.5 * (covariance[i, j] + covariance[j, i])
+            covariance[i, j] = covariance[j, i] = mean
+    if not _noise_columns(covariance, columns, column):
+        return False
+    for i in range(n):
+        for j in range(n):
+            moved[i, j] *= scale[i] / scale[j]
+        for j in range(rank):
+            columns[i, j] *= scale[i]
+    period(moved, columns, np.empty((n, 0)), rows, out)
+    return True
+
+
+@jit
+def period(
+    moved: FloatArray, held: FloatArray, later: FloatArray, rows: FloatArray, out: FloatArray
+) -> None:
+    """Write a period of many steps; see `_steps`."""
+    size = (moved.shape[0], out.shape[1])
+    _steps(moved, held, later, rows, out, np.empty(size), np.empty(size))

@@ -7,6 +7,7 @@ holds this equal to it. What tables carry from period to period lies in records,
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,9 @@ from shake_env.simulation.transition import Outcome
 
 PIECES = 4  # of the tables for each thread
 A_THREAD = 512  # tables that a thread has at least: fewer take no longer than to wake it
+FEW = 6  # tables of a block that begin sooner one by one than with the whole block
 _AT_REPORT, _AT_SEEN, _AT_ENDS = (PLACES[f"at_{name}"] for name in ("report", "seen", "ends"))
+_MODE = PLACES["mode"]
 
 
 class CompiledEngine(TableRecords):
@@ -50,6 +53,7 @@ class CompiledEngine(TableRecords):
         self._table = self._new_table(STEP)
         self._address = self._table.ctypes.data
         self._parts: list[IntArray] = []
+        self._starter: CompiledEngine | None = None  # of one table, for the tables of blocks
         self._helpers = self._new_helpers(min(tables.threads, self._padded // A_THREAD))
         self._other = self._new_table(GROUND)
         # Of a table that is stepped alone, whose memory nobody is given.
@@ -114,24 +118,31 @@ class CompiledEngine(TableRecords):
         """Put tables to rest at the beginning of their episodes; return their observations."""
         self.number += 1
         if self._block == 1:
-            return self._start_alone(episodes[0])
-        index = np.asarray(lanes, dtype=int)
-        self.step_count[index] = 0
-        self.episode_steps[index] = [each.steps for each in episodes]
-        for lane, each in zip(lanes, episodes, strict=True):
-            self.motions[lane] = each.motion
+            shape = int(self._shapes.numbers([episodes[0].motion], self._used)[0])
+            return self._start_alone(episodes[0], shape)[None].copy()
         shapes = self._shapes.numbers([each.motion for each in episodes], self._used)
         self._point_to_shapes()
-        shown = np.empty((len(lanes), self._packed.sizes["shown"]), dtype=np.float32)
-        blocks = index // self._block
-        for number in np.unique(blocks):
-            which = np.flatnonzero(blocks == number)
-            part = [episodes[int(i)] for i in which]
-            shown[which] = self._begin(int(number), index[which] % self._block, part, shapes[which])
+        places: dict[int, list[int]] = {}  # of the lanes of each block
+        for i, (lane, each) in enumerate(zip(lanes, episodes, strict=True)):
+            self._counters[0, lane], self._counters[1, lane] = 0, each.steps
+            self.motions[lane] = each.motion
+            places.setdefault(int(lane) // self._block, []).append(i)
+        shown = np.empty((len(episodes), self._packed.sizes["shown"]), dtype=np.float32)
+        for number, which in places.items():
+            columns = [int(lanes[i]) % self._block for i in which]
+            if len(which) <= FEW:
+                for i, column in zip(which, columns, strict=True):
+                    shown[i] = self._start_in_block(number, column, episodes[i], int(shapes[i]))
+            else:
+                part = [episodes[i] for i in which]
+                shown[which] = self._begin(number, np.array(columns), part, shapes[which])
         return shown
 
-    def _start_alone(self, episode: Episode) -> Observations:
-        """Put the one table to rest at the beginning of its episode; return its observation (1, n)."""
+    def _start_alone(self, episode: Episode, shape: int) -> Observations:
+        """Put the one table to rest at the beginning of its episode; return its observation (n,).
+
+        The observation is overwritten by the next one.
+        """
         self.motions[0] = motion = episode.motion
         rows, record, wholes = self._packed.rows, self._record_alone, self._wholes_alone
         self._counters[0, 0], self._counters[1, 0] = 0, episode.steps
@@ -141,18 +152,40 @@ class CompiledEngine(TableRecords):
         wholes[rows["recorded"].start] = isinstance(motion, RecordedMotion)
         record[rows["amplitude"].start] = motion.amplitude
         record[rows["severity"].start] = episode.severity
-        wholes[rows["shape"].start] = self._shapes.numbers([motion], self._used)[0]
+        wholes[rows["shape"].start] = shape
         self._point_to_shapes()
         self._set_to_time_zero(record, wholes, episode)
-        self._call(START, at_seen=int(self._alone[_AT_SEEN]))
-        shown: Observations = self._observation_alone[None].copy()
+        self._alone[_MODE] = START
+        self._period(self._address_alone)
+        self._alone[_MODE] = STEP
+        shown: Observations = self._observation_alone
+        return shown
+
+    def _start_in_block(self, number: int, column: int, episode: Episode, shape: int) -> Observations:
+        """Begin an episode of a table of a block by way of a table alone, to the same bits."""
+        starter = self._starter
+        if starter is None:
+            starter = self._starter = CompiledEngine(replace(self._tables, lanes=1))
+            starter._shapes = self._shapes
+        if self._own:
+            starter.take_plant(number * self._block + column)
+        rows, alone = self._packed.rows, starter._packed.rows
+        record, cursor = self._records[number], rows["cursor"].start
+        starter._wholes_alone[cursor] = self._wholes[number, cursor, column]
+        shown = starter._start_alone(episode, shape)
+        # What a field holds is the same but for the noise's, behind which the rows differ.
+        noise, behind = rows["noise"], alone["reading"].start
+        end = behind + rows["ring"].stop - rows["reading"].start
+        record[: noise.stop, column] = starter._record_alone[: noise.stop]
+        record[rows["reading"].start : rows["ring"].stop, column] = starter._record_alone[behind:end]
         return shown
 
     def _set_to_time_zero(self, record: FloatArray, wholes: IntArray, episode: Episode) -> None:
         """Write ground and specimen at time 0 to a table's record (rows,), where they are not zero."""
-        motion, discrete, packed = episode.motion, self._tables.scenario.discrete, self._packed
+        motion = episode.motion
         if episode.specimen is None and not isinstance(motion, RecordedMotion):
             return
+        discrete, packed = self._tables.scenario.discrete, self._packed
         cursor = int(wholes[packed.rows["cursor"].start])
         slot = packed.rows["ring"].start + cursor * packed.sizes["stride"]
         if episode.specimen is not None:

@@ -57,7 +57,7 @@ def pack(tables: Tables, block: int) -> Packed:
     room, room_rows = _slices(_room_rows(sizes, block), ROOM)
     numbers, vectors = _numbers(tables, sizes)
     places, start = {}, 0
-    for name, matrix in packed_matrices(tables).items():
+    for name, matrix in packed_matrices(tables, columns_of(tables)).items():
         places[name] = (start, int(np.prod(matrix.shape[-2:])))
         start += places[name][1]
     return Packed(
@@ -75,10 +75,26 @@ def pack(tables: Tables, block: int) -> Packed:
     )
 
 
-def packed_matrices(tables: Tables, lanes: Any = None) -> dict[str, FloatArray]:
+def columns_of(tables: Tables) -> tuple[Any, Any]:
+    """Return which columns of a table's `advance` and `slope` are kept: none of parts that are off."""
+    dynamics = tables.model.dynamics
+    if isinstance(dynamics, TableDynamics):
+        return slice(None), slice(None)
+    switches = _switches(dynamics.parts, dynamics.stories, 0)
+    names = ("flow", "force", "rate", *["slips"] * dynamics.stories)
+    on = [i for i, name in enumerate(names[: dynamics.slope.shape[-1]]) if switches[name] >= 0]
+    linear = dynamics.advance.shape[-1] - dynamics.slope.shape[-1]
+    if on == list(range(len(on))):  # a slice is taken several times as fast
+        return slice(linear + len(on)), slice(len(on))
+    return [*range(linear), *(linear + i for i in on)], on
+
+
+def packed_matrices(
+    tables: Tables, columns: tuple[Any, Any], lanes: Any = None
+) -> dict[str, FloatArray]:
     """Return each matrix, (rows, columns) or one a table, in the order of `layout.MATRICES`.
 
-    Where each table has its own, of all, or of the tables `lanes` alone.
+    Where each table has its own, of all, or of the tables `lanes` alone; `columns` as `columns_of`.
     """
     dynamics, reference = tables.model.dynamics, tables.maps.yielding
     own: Any = slice(None) if lanes is None else lanes
@@ -93,12 +109,7 @@ def packed_matrices(tables: Tables, lanes: Any = None) -> dict[str, FloatArray]:
         made["floor_map"] = tables.model.floor_rows[own]
     if isinstance(dynamics, TableDynamics):
         return {**made, "advance": dynamics.matrix}
-    # Columns of parts that are off are left out.
-    switches = _switches(dynamics.parts, dynamics.stories, 0)
-    names = ("flow", "force", "rate", *["slips"] * dynamics.stories)
-    on = [i for i, name in enumerate(names[: dynamics.slope.shape[-1]]) if switches[name] >= 0]
-    linear = dynamics.advance.shape[-1] - dynamics.slope.shape[-1]
-    used = [*range(linear), *(linear + i for i in on)]
+    used, on = columns
     C, D = dynamics.C[own], dynamics.D[own]
     unheld = np.zeros((*C.shape[:-1], 1))
     return {

@@ -86,7 +86,7 @@ class PlantBatch:
     def _new_compiled(self) -> DrawnPlants | None:
         """Return what makes plants faster, or None where there is no numba, or no chain of storeys."""
         scenario, objective = self.scenario, self.scenario.objective
-        compiled = compiled_module("shake_env.kernels.small_matrices")
+        compiled = compiled_module("shake_env.kernels.plant_matrices")
         if compiled is None or scenario.specimen.coupled:
             return None
         stacks = {f"reference_{name}": stack for name, stack in self._reference.items()}

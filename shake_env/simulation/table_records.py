@@ -17,9 +17,9 @@ from shake_env.kernels.layout import ONES, ZEROS
 from shake_env.kernels.vectors import BLOCK
 from shake_env.model.parameters import FloatArray
 from shake_env.motion.targets import EpisodeMotion, FilteredNoise, RecordedMotion
-from shake_env.simulation.engine import BoolArray, LaneState, Tables
+from shake_env.simulation.engine import BoolArray, IntArray, LaneState, Tables
 from shake_env.simulation.excitation import motion_array
-from shake_env.simulation.packing import BEHIND, lane_rows, pack, packed_matrices
+from shake_env.simulation.packing import BEHIND, columns_of, lane_rows, pack, packed_matrices
 from shake_env.simulation.sensors import SensorMemory
 from shake_env.simulation.shape_addresses import ShapeAddresses
 
@@ -40,6 +40,7 @@ class TableRecords:
         self._padded = self._blocks * block
         self._packed = packed = pack(tables, block)
         self._own = bool(packed.sizes["own"])
+        self._columns = columns_of(tables)
         depth = block if self._own else 1
         copies = self._blocks if self._own else 1
         self._records = aligned_zeros((self._blocks, packed.record_rows, block))
@@ -150,12 +151,19 @@ class TableRecords:
     def redrawn(self, lanes: Sequence[int]) -> None:
         """Take the plants of some lanes from the model's stacks, which have changed."""
         index = np.asarray(lanes, dtype=int)
-        block: Any = index // self._block
-        column: Any = index % self._block
         if len(index) == 1:
-            block, column = int(block[0]), int(column[0])
+            self._take_plants(index, *divmod(int(index[0]), self._block))
+        else:
+            self._take_plants(index, index // self._block, index % self._block)
+
+    def take_plant(self, lane: int) -> None:
+        """Take the plant of a lane from the model's stacks to the one table."""
+        self._take_plants(np.array([lane]), 0, 0)
+
+    def _take_plants(self, index: IntArray, block: Any, column: Any) -> None:
+        """Take plants of the model's stacks to tables in columns of blocks."""
         chosen = rows_of(index) if self._own else None
-        for name, matrix in packed_matrices(self._tables, chosen).items():
+        for name, matrix in packed_matrices(self._tables, self._columns, chosen).items():
             start, length = self._packed.matrices[name]
             if not length:
                 continue

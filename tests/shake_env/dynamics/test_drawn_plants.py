@@ -136,10 +136,8 @@ def test_the_held_table_is_exact_where_scipy_loses_six_digits():
     generator[:n, n : n + inputs] = plant.B / scale[:, None] * 1e-3
     generator[n : n + inputs, n + inputs :] = np.eye(inputs)
     exact = exactly(generator)
-    A, B = plant.A[None].copy(), plant.B[None].copy()
-    moved, level, slope = np.empty_like(A), np.empty_like(B), np.empty_like(B)
-    small.holds(A, B, scale[None].copy(), 1e-3, moved, level, slope)
-    found = np.concatenate([moved[0] * scale, level[0], slope[0]], axis=1) / scale[:, None]
+    moved, level, slope = small.hold(plant.A.copy(), plant.B.copy(), scale, 1e-3)
+    found = np.concatenate([moved * scale, level, slope], axis=1) / scale[:, None]
     np.testing.assert_allclose(found, exact[:n], rtol=2e-14, atol=0)
     by_scipy = scipy.linalg.expm(generator)
     away = np.abs(by_scipy - exact)[exact != 0.0] / np.abs(exact[exact != 0.0])
@@ -153,11 +151,13 @@ def test_stationary_covariances_are_those_of_a_schur_decomposition():
         8
     )  # slow beside the rest
     found = np.empty_like(A)
-    small.stationary_covariances(A, b, found)
+    for each in range(9):
+        small.stationary_covariance(A[each], b[each], found[each])
     expected = stationary_covariance(A, b[..., None])
     size = np.abs(expected).max(axis=(1, 2), keepdims=True)
     np.testing.assert_allclose(found / size, expected / size, rtol=0, atol=1e-11)
-    small.stationary_covariances(-A, b, found)  # unstable: there is none
+    for each in range(9):
+        small.stationary_covariance(-A[each], b[each], found[each])  # unstable: there is none
     assert np.isnan(found).any(axis=(1, 2)).all()
 
 
