@@ -37,11 +37,6 @@ FLOW, FORCE, SPOOL_RATE, SLIPS = range(1, 5)  # columns of B, behind the current
 flat, rows, stack = float64[::1], float64[:, ::1], float64[:, :, ::1]
 
 
-def of(*kinds: Any) -> Any:
-    """Return the type of a tuple."""
-    return types.Tuple(kinds)
-
-
 @jit
 def _put(matrix: FloatArray, first: int, out: FloatArray, column: int) -> None:
     """Write a matrix, less its first columns, to another from a column on.
@@ -366,14 +361,11 @@ def _made() -> Any:
                     period(moved, level, slope, _part(seen_rows, 1, w), grounds[1][row])
         return len(index)
 
-    return cached(
-        int64(
-            int64[::1], rows, stack, of(float64, boolean), of(int64[:, ::1], flat, flat), flat,
-            of(flat, rows, flat, rows), float64, of(stack, stack, stack, stack, rows), of(stack, stack),
-            of(boolean, stack, rows), of(stack, rows),
-        ),
-        put_plants,
-    )  # fmt: skip
+    low_passes, both = types.Tuple([int64[:, ::1], flat, flat]), types.Tuple([flat, rows, flat, rows])
+    tables, seen = types.Tuple([stack, stack, stack, stack, rows]), types.Tuple([stack, rows])
+    parts, costs = types.Tuple([float64, boolean]), types.Tuple([boolean, stack, rows])
+    given = (int64[::1], rows, stack, parts, low_passes, flat, both, float64, tables)
+    return cached(int64(*given, types.Tuple([stack, stack]), costs, seen), put_plants)
 
 
 put_plants = _made()
