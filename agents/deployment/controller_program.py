@@ -8,12 +8,14 @@ from typing import Any
 import shake_env
 from agents.deployment.channels import current_channel, identifier, observation_channels
 from agents.deployment.exported import require_exported
-from agents.deployment.laws import block_of
+from agents.deployment.laws import NONLINEAR_FILTER, block_of
 from agents.deployment.program import Precision, Program
 from agents.policies.policy_file import file_digest
 from agents.policies.registry import find_controller, get_controller, policy_path, values_for
 from agents.provenance import code_version
+from baselines.planning.nonlinear_estimate import NonlinearEstimate
 from shake_env.controller import Controller
+from shake_env.errors import ScenarioError
 from shake_env.model.nonlinearity import ServoValve
 from shake_env.safety.supervisor import Supervised
 from shake_env.scenario.digest import known_name, scenario_digest
@@ -50,6 +52,8 @@ def controller_program(
     """
     require_exported(name)
     controller = get_controller(name, scenario)
+    if isinstance(controller, NonlinearEstimate):
+        raise ScenarioError("controller", name, NONLINEAR_FILTER)
     provenance = {
         "program": f"shake-env {shake_env.__version__}, {code_version() or 'not a git checkout'}",
         "controller": name,

@@ -33,6 +33,11 @@ from shake_env.model.parameters import FloatArray
 from shake_env.safety.supervisor import Supervised
 from shake_env.scenario.scenario import Scenario
 
+NONLINEAR_FILTER = (
+    "has no C form where signals are measured: its filter steps the nonlinear model; "
+    "lqg and lqg-dac have one"
+)
+
 
 @singledispatch
 def block_of(controller: Any, scenario: Scenario) -> Block:
@@ -109,11 +114,7 @@ def _(controller: FeedforwardLQR, scenario: Scenario) -> Block:
 
 @block_of.register
 def _(controller: NonlinearEstimate, scenario: Scenario) -> Block:
-    raise ScenarioError(
-        "controller",
-        type(controller).__name__,
-        "has no C form: its filter steps the nonlinear model; lqg and lqg-dac have one",
-    )
+    raise ScenarioError("controller", type(controller).__name__, NONLINEAR_FILTER)
 
 
 @block_of.register

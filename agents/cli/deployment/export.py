@@ -54,6 +54,7 @@ class Export(CommandOptions):
             raise ParameterError("output", str(self.output), "is given twice: leave one of them out")
         if self.prefix is not None and not (self.prefix.isascii() and self.prefix.isidentifier()):
             raise ParameterError("prefix", self.prefix, "must be a C identifier, such as my_controller")
+        self._refuse_what_has_no_effect()
         target = self.file or self.output
         if self.to == "c":
             return self._c(target, console)
@@ -63,6 +64,20 @@ class Export(CommandOptions):
             raise ParameterError("output", shown, f"must end in {suffix}")
         require_writable_file(target, "output")
         return self._fmu(target, console) if self.to == "fmu" else self._onnx(target, console)
+
+    def _refuse_what_has_no_effect(self) -> None:
+        if self.safety_supervisor and self.to == "onnx":
+            raise ParameterError(
+                "safety_supervisor", True, "an ONNX graph is the policy alone: export to c or fmu"
+            )
+        if self.safety_supervisor and self.controller == "table":
+            raise ParameterError(
+                "safety_supervisor", True, "the table is no controller: put it around the controller's"
+            )
+        if self.precision == "float32" and self.to != "c":
+            raise ParameterError(
+                "precision", self.precision, f"is an option of the C program, {self.to} has its own"
+            )
 
     def _c(self, target: Path | None, console: Console) -> dict[str, Any]:
         from agents.deployment.export import export_c

@@ -188,6 +188,7 @@ def serve(controller: Controller, scenario: Scenario, endpoint: socket.socket) -
     memory: tuple[Any, ...] | None = None
     test: int | None = None  # number of the present one
     last = ignored = 0
+    fresh = True  # no decision of the present test has been made
     while True:
         try:
             data, peer = endpoint.recvfrom(65536)
@@ -201,7 +202,7 @@ def serve(controller: Controller, scenario: Scenario, endpoint: socket.socket) -
             return
         begins = bool(given.flags & BEGINS) and given.test != test
         if begins:
-            test, ignored = given.test, 0
+            test, ignored, fresh = given.test, 0, True
         elif given.test != test or given.sequence <= last:
             ignored += 1
             continue
@@ -211,7 +212,8 @@ def serve(controller: Controller, scenario: Scenario, endpoint: socket.socket) -
         if not np.isfinite(observation).all() and not isinstance(controller, Supervised):
             flags |= REFUSED
         else:
-            chosen, memory = decide(controller, observation, memory, np.array([begins]))
+            chosen, memory = decide(controller, observation, memory, np.array([fresh]))
+            fresh = False
             action = float(chosen[0, 0])
             if not np.isfinite(action):
                 action, flags = 0.0, flags | REFUSED

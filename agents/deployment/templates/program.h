@@ -1,6 +1,6 @@
 /* {{ title }}.
  *
- * One decision each {{ period }} s: {{ NAME }}_step reads {{ inputs|length }} numbers and gives {{ outputs|length }}.
+ * One decision each {{ period }} s: {{ name }}_step reads {{ inputs|length }} numbers and gives {{ outputs|length }}.
  * No allocation, no recursion, no library but math.h; every loop has a bound known when it is compiled.
  * A program keeps its memory in a {{ name }}_t of the caller's. Programs with memories of their own may
  * run at the same time.

@@ -12,6 +12,7 @@
 #include "{{ name }}.h"
 
 #include <arpa/inet.h>
+#include <errno.h>
 #include <netinet/in.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -127,6 +128,9 @@ int main(void)
         uint16_t flags, number;
         uint32_t sequence;
 
+        if ((got < 0) && (errno == EINTR)) {
+            continue; /* a signal, such as the one that lets a stopped program go on */
+        }
         if (got < 0) {
             break;
         }

@@ -39,6 +39,13 @@ def test_export_writes_the_table_as_an_fmu(tmp_path, capsys):
     [
         (["lqg", "--to", "fmu"], "output = None: must end in .fmu"),
         (["apg", "x.onnx", "--output", "y.onnx"], "is given twice"),
+        (["apg", "x.onnx", "--safety-supervisor"], "the policy alone"),
+        (["table", "--to", "c", "--safety-supervisor", "--output", "{}"], "no controller"),
+        (["pid", "x.fmu", "--to", "fmu", "--precision", "float32"], "option of the C program"),
+        (
+            ["lqr-friction-ff", "--scenario", "laboratory", "--to", "c", "--output", "{}"],
+            "lqr-friction-ff': has no C form where signals are measured",
+        ),
         (["pid", "--to", "c", "--prefix", "1st"], "C identifier"),
         (["pid", "--to", "c", "--prefix", "é"], "C identifier"),
         (["pid", "--to", "c", "--prefix", "output_feedback", "--output", "{}"], "choose another"),
