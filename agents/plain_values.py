@@ -66,8 +66,10 @@ def _typed(hint: Any, value: Any, name: str) -> Any:
     if origin in (tuple, list):
         if not isinstance(value, list | tuple):
             raise ValueError(f"{name} is {value!r}: must be a list")
+        if origin is tuple and Ellipsis not in arguments and len(value) != len(arguments):
+            raise ValueError(f"{name} is {value!r}: must hold {len(arguments)} values")
         return origin(_typed(arguments[0], each, name) for each in value)
-    if origin is dict:
+    if origin in (dict, Mapping):
         if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
             raise ValueError(f"{name} is {value!r}: must be a JSON object")
         return {key: _typed(arguments[1], each, f"{name}.{key}") for key, each in value.items()}

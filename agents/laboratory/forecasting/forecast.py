@@ -149,10 +149,12 @@ def forecast(
     ScenarioError
         If a controller does not suit the scenario, or nothing is uncertain.
     """
-    _check(scenario, controllers, amplitudes, samples, probability)
+    check_forecast(controllers, amplitudes, samples, probability)
+    if not scenario.uncertainty.active:
+        raise ScenarioError(
+            "uncertainty", "none", "name a posterior in [uncertainty.posterior], or ranges of parameters"
+        )
     scenario = centred_scenario(scenario)
-    for name in controllers:
-        find_controller(name)
     count = math.ceil(samples / BATCH)
     seeds = np.array_split(np.arange(seed, seed + samples), count)
     jobs = [
@@ -269,25 +271,20 @@ def advice(forecasts: Sequence[Forecast], probability: float = 0.95) -> Advice:
     return Advice(best.controller, amplitude, probability, reason)
 
 
-def _check(
-    scenario: Scenario,
-    controllers: Sequence[str],
-    amplitudes: Sequence[float],
-    samples: int,
-    probability: float,
+def check_forecast(
+    controllers: Sequence[str], amplitudes: Sequence[float], samples: int, probability: float
 ) -> None:
+    """Raise ParameterError or ScenarioError where arguments of `forecast` are none."""
     if not controllers:
         raise ParameterError("controllers", controllers, "name at least one, such as lqg")
+    for name in controllers:
+        find_controller(name)
     if not amplitudes or not all(0.0 < a <= 100.0 for a in amplitudes):
         raise ParameterError("amplitudes", tuple(amplitudes), "must be factors above 0, at most 100")
     if not 2 <= samples <= 100_000:
         raise ParameterError("samples", samples, "must be 2 to 100 000")
     if not 0.0 < probability < 1.0:
         raise ParameterError("probability", probability, "must lie between 0 and 1")
-    if not scenario.uncertainty.active:
-        raise ScenarioError(
-            "uncertainty", "none", "name a posterior in [uncertainty.posterior], or ranges of parameters"
-        )
 
 
 __all__ = ["UNITS", "Advice", "Forecast", "advice", "centred_scenario", "forecast", "run_batch"]

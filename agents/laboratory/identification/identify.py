@@ -80,13 +80,21 @@ def identify(
     Raises
     ------
     LogError
-        If a log is of another rate or table, a channel has a fault, or the model explains a channel not
-        at all.
+        If a log is of another rate or table, or given twice, a channel has a fault, or the model
+        explains a channel not at all.
+    ParameterError
+        If `sampler_seconds` is negative, or as `LogData.from_log` says.
     """
     prior = default_prior(scenario) if prior is None else prior
+    if not sampler_seconds >= 0.0:
+        raise ParameterError("sampler_seconds", sampler_seconds, "must be at least 0")
     data = [LogData.from_log(log, scenario, without, band) for log in logs]
     if not data:
         raise LogError("logs", 0, "give at least one")
+    digests = [log.sha256 for log in logs]
+    twice = [log.name for i, log in enumerate(logs) if log.sha256 in digests[:i]]
+    if twice:
+        raise LogError(twice[0], "given twice", "a log counts once: leave one of them out")
     plain = replace(scenario, uncertainty=type(Scenario().uncertainty)())
     result = fit(
         Likelihood.from_data(plain, prior.names, data, [log.channels[CURRENT] for log in earlier]),
@@ -145,24 +153,7 @@ def model_of(
         parts = replace(scenario.nonlinearity, yielding=yielding)
         scenario = replace(scenario, specimen=given.specimen, nonlinearity=parts)
     for log in known:
-        theirs = log.scenario
-        # What is estimated may differ; what a table is built of may not.
-        require_same_test(
-            theirs, scenario, log.name, but=("actuator", "nonlinearity", "delay", "specimen")
-        )
-        for name in ("piston_area", "oil_volume"):
-            ours, other = getattr(scenario.actuator, name), getattr(theirs.actuator, name)
-            if not math.isclose(ours, other, rel_tol=1e-6):
-                raise LogError(
-                    f"{log.name}, actuator.{name}",
-                    other,
-                    f"the log is of another table: expected {ours}",
-                )
-        if theirs.specimen.stories != scenario.specimen.stories:
-            ours, other = scenario.specimen.stories, theirs.specimen.stories
-            raise LogError(
-                f"{log.name}, storeys", other, f"the log is of another specimen: expected {ours}"
-            )
+        require_same_table(log, scenario)
     return scenario
 
 
@@ -220,3 +211,23 @@ def _given(name: str, entry: Any, place: str, scenario: Scenario) -> tuple[float
     if not 0.0 < spread < math.inf:
         raise ParameterError(f"{place}.{width}", entry[width], "must be above 0, a factor above 1")
     return number(entry[middle], unit), spread
+
+
+def require_same_table(log: TestLog, scenario: Scenario) -> None:
+    """Raise LogError where a log with a scenario is of another table, other sensors or another rate.
+
+    What is estimated may differ; what a table is built of may not.
+    """
+    theirs = log.scenario
+    require_same_test(theirs, scenario, log.name, but=("actuator", "nonlinearity", "delay", "specimen"))
+    for name in ("piston_area", "oil_volume"):
+        ours, other = getattr(scenario.actuator, name), getattr(theirs.actuator, name)
+        if not math.isclose(ours, other, rel_tol=1e-6):
+            raise LogError(
+                f"{log.name}, actuator.{name}",
+                other,
+                f"the log is of another table: expected {ours}",
+            )
+    if theirs.specimen.stories != scenario.specimen.stories:
+        ours, other = scenario.specimen.stories, theirs.specimen.stories
+        raise LogError(f"{log.name}, storeys", other, f"the log is of another specimen: expected {ours}")

@@ -23,7 +23,7 @@ from agents.laboratory.identification.parameters import clip_delays, plants_at
 from agents.laboratory.identification.prediction import predict_response
 from agents.laboratory.logs.findings import require_sound
 from agents.laboratory.logs.test_log import CURRENT, TestLog
-from shake_env.errors import LogError
+from shake_env.errors import LogError, ParameterError, unknown
 from shake_env.model.parameters import FloatArray
 from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.engine import BoolArray
@@ -71,6 +71,8 @@ class LogData:
         ------
         LogError
             If a channel has a fault, none is left, or the step is not the control period.
+        ParameterError
+            If the band holds no frequency of the log, or `without` names no channel of it.
         """
         if not math.isclose(log.sampling_interval, scenario.control_period, rel_tol=1e-4):
             raise LogError(
@@ -86,6 +88,15 @@ class LogData:
         coefficients = fourier_coefficients(readings)
         frequency = np.repeat(np.fft.rfftfreq(log.samples, log.sampling_interval)[1:], 2)
         low, high = (0.0, math.inf) if band is None else band
+        known = frequency[: len(coefficients)]
+        inside = (known >= low) & (known <= high)
+        if not inside.any():
+            raise ParameterError(
+                "band", band, f"holds none of the log's frequencies, up to {known[-1]:g} Hz"
+            )
+        for name in without:
+            if name not in log.channels:
+                raise unknown(ParameterError, "without", name, log.measured)
         width = max(1, round(BAND * log.duration) * 2 + 1)
         return cls(
             log=log,
@@ -93,7 +104,7 @@ class LogData:
             coefficients=coefficients,
             variance=np.array([_variance(scenario, n, log.channels[n]) for n in channels]),
             power=uniform_filter1d(coefficients**2, min(width, len(coefficients)), axis=0),
-            inside=(frequency[: len(coefficients)] >= low) & (frequency[: len(coefficients)] <= high),
+            inside=inside,
         )
 
     @property

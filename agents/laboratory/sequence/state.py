@@ -16,6 +16,7 @@ from typing import Any
 from agents.laboratory.identification.posterior import Posterior, read_posterior
 from agents.laboratory.logs.log_file import read_log
 from agents.laboratory.logs.test_log import TestLog, scenario_of_text, text_of_scenario
+from agents.plain_values import typed
 from shake_env.errors import FileError, ParameterError, ShakeError
 from shake_env.files import no_file, write_json
 from shake_env.scenario.scenario import Scenario
@@ -138,10 +139,9 @@ def read_sequence(folder: str | os.PathLike[str]) -> Sequence:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["format"] != FORMAT or content["version"] != VERSION:
             raise FileError("sequence", str(path), "is no sequence of this version")
-        shakes = []
-        for entry in content["shakes"]:
-            log = entry.pop("log")
-            shakes.append(Shake(**entry, log=None if log is None else (log[0], log[1])))
+        shakes = [typed(Shake, entry, f"shake {i}") for i, entry in enumerate(content["shakes"], 1)]
+        for shake in shakes:
+            _require_intervals(shake.forecast)
         return Sequence(
             folder=folder,
             scenario=scenario_of_text(json.dumps(content["scenario"])),
@@ -157,4 +157,19 @@ def read_sequence(folder: str | os.PathLike[str]) -> Sequence:
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         if isinstance(error, ShakeError):
             raise
-        raise FileError("sequence", str(path), f"is damaged ({type(error).__name__})") from None
+        text = str(error) if type(error) is ValueError else type(error).__name__
+        raise FileError(
+            "sequence", str(path), f"is damaged ({text}): restore it, or begin anew"
+        ) from None
+
+
+def _require_intervals(forecast: Mapping[str, Any] | None) -> None:
+    """Raise ValueError where a forecast holds no intervals of three numbers each."""
+    if forecast is None:
+        return
+    intervals = forecast.get("intervals")
+    if not isinstance(intervals, Mapping):
+        raise ValueError("a forecast holds no intervals")
+    for name, interval in intervals.items():
+        if len(interval) != 3 or not all(isinstance(each, int | float) for each in interval):
+            raise ValueError(f"the interval of {name} is not three numbers")

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from agents.execution.units import UnitRunner
-from agents.laboratory.forecasting.forecast import Forecast, advice, forecast
+from agents.laboratory.forecasting.forecast import Forecast, advice, check_forecast, forecast
 from agents.laboratory.forecasting.page import forecast_to_json, write_page
 from agents.laboratory.identification.consistency import require_motion
 from agents.laboratory.identification.damage import damage_after
-from agents.laboratory.identification.identify import Identified, identify
+from agents.laboratory.identification.identify import Identified, identify, require_same_table
 from agents.laboratory.identification.parameters import Prior, default_prior, plants_at
 from agents.laboratory.identification.posterior import Posterior
 from agents.laboratory.logs.log_file import write_log
-from agents.laboratory.logs.test_log import TestLog, require_same_test
+from agents.laboratory.logs.test_log import TestLog
 from agents.laboratory.sequence.state import Sequence, Shake
 from agents.seeds import FORECAST_SEED, SHAKE_SEEDS
 from shake_env.errors import LogError, ParameterError
@@ -71,10 +71,17 @@ def plan_sequence(
     Raises
     ------
     ParameterError
-        If the amplitudes do not rise, or the folder holds a sequence.
+        If the amplitudes do not rise, the folder holds a sequence, or a number is outside its range.
+    ScenarioError
+        If a controller is unknown.
     """
     folder = Path(folder)
     amplitudes = rising_amplitudes(amplitudes)
+    if not 0.0 < required_probability < 1.0:
+        raise ParameterError("required_probability", required_probability, "must lie between 0 and 1")
+    if seed < 0:
+        raise ParameterError("seed", seed, "must not be negative")
+    check_forecast(controllers, amplitudes, samples, probability)
     if isinstance(scenario.motion, MotionSet):
         raise ParameterError("motion", "a set", "a sequence repeats one motion: name it")
     shakes = tuple(Shake(amplitude) for amplitude in amplitudes)
@@ -149,7 +156,7 @@ def next_shake(
     folder = sequence.shake_folder(number + 1)
     if page:
         write_page(forecasts, chosen, f"Shake {number + 1}, amplitude {shake.amplitude:g}", folder)
-    if chosen.amplitude == 0.0 and not override:
+    if chosen.amplitude == 0.0 and not (override or "").strip():
         raise ParameterError(
             f"shake {number + 1}",
             shake.amplitude,
@@ -213,10 +220,10 @@ def close_shake(
         raise LogError(log.name, log.sha256[:12], "closed an earlier shake already")
     model = designed_on(sequence)
     if log.scenario_text is not None:
-        estimated = ("actuator", "nonlinearity", "delay", "specimen")
-        require_same_test(log.scenario, model, log.name, but=estimated)
+        require_same_table(log, model)
     require_motion(log, model)
-    measured = measured_figures(log)
+    left_out = {f"{name}_{figure}" for name in without for figure in ("rms", "peak")}
+    measured = {name: value for name, value in measured_figures(log).items() if name not in left_out}
     intervals = shake.forecast["intervals"]
     inside = {
         name: bool(intervals[name][0] <= value <= intervals[name][2])

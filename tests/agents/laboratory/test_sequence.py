@@ -12,6 +12,7 @@ from rich.console import Console
 from agents.cli.commands import parse
 from agents.laboratory.identification import calibration
 from agents.laboratory.identification.damage import damage_after
+from agents.laboratory.identification.identify import identify
 from agents.laboratory.result_files import ResultFile, laboratory_tables
 from agents.laboratory.sequence.rehearsal import (
     hidden_truth,
@@ -21,7 +22,7 @@ from agents.laboratory.sequence.rehearsal import (
 )
 from agents.laboratory.sequence.state import read_sequence
 from agents.laboratory.sequence.steps import close_shake, designed_on, next_shake, plan_sequence
-from shake_env.errors import FileError, LogError, ParameterError
+from shake_env.errors import FileError, LogError, ParameterError, ShakeError
 from shake_env.model.specimen_state import NEW
 from shake_env.scenario.overrides import make_scenario
 from shake_env.scenario.scenario_file import read_scenario
@@ -79,6 +80,8 @@ def test_an_unsafe_shake_is_refused_unless_overridden(tmp_path):
     plan_sequence(tmp_path / "one", scenario, amplitudes=(1.0,), samples=8)
     with pytest.raises(ParameterError, match=r"is unsafe: no controller keeps every limit.*--override"):
         next_shake(read_sequence(tmp_path / "one"))
+    with pytest.raises(ParameterError, match="is unsafe"):  # a blank is no reason
+        next_shake(read_sequence(tmp_path / "one"), override=" ")
     assert read_sequence(tmp_path / "one").next.forecast is None
     next_shake(read_sequence(tmp_path / "one"), override="a test of the limits")
     assert read_sequence(tmp_path / "one").next.override == "a test of the limits"
@@ -98,6 +101,72 @@ def test_what_is_out_of_order_is_refused(tmp_path):
         read_sequence(tmp_path / "none")
     (tmp_path / "one" / "sequence.json").write_text("{}")
     with pytest.raises(FileError, match="damaged"):
+        read_sequence(tmp_path / "one")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("required_probability", 2.0, "must lie between 0 and 1"),
+        ("required_probability", float("nan"), "must lie between 0 and 1"),
+        ("seed", -1, "must not be negative"),
+        ("samples", 1, "must be 2 to 100 000"),
+        ("controllers", (), "name at least one"),
+        ("controllers", ("lgq",), "did you mean 'lq"),
+    ],
+)
+def test_a_plan_that_no_shake_could_follow_is_refused(tmp_path, name, value, words):
+    with pytest.raises(ShakeError, match=words):
+        plan_sequence(tmp_path / "one", laboratory_test(), **{name: value})
+    assert not (tmp_path / "one").exists()
+
+
+def test_a_shake_is_closed_by_a_log_of_its_own_table_and_options_that_mean_something(tmp_path):
+    begun(tmp_path / "one")
+    sequence, _ = next_shake(read_sequence(tmp_path / "one"), page=False)
+    design = designed_on(sequence)
+    truth = hidden_truth(laboratory_test(), np.random.default_rng(1), wider=False)
+    other = replace(design, actuator=replace(design.actuator, piston_area=2e-3))
+    for model, words in (
+        (other, "of another table: expected"),
+        (replace(make_scenario("laboratory", {"stories": 3}), motion=design.motion), "another specimen"),
+    ):
+        log, _, _ = simulate_shake(model, model, "lqg", 1)
+        with pytest.raises(LogError, match=words):
+            close_shake(sequence, log)
+    log, _, _ = simulate_shake(design, truth, "lqg", 1)
+    for options, words in (
+        ({"band": (300.0, 400.0)}, "none of the log's frequencies"),
+        ({"band": (40.0, 0.2)}, "none of the log's frequencies"),
+        ({"band": (float("nan"), 1.0)}, "none of the log's frequencies"),
+        ({"without": ("foo",)}, "known: "),
+    ):
+        with pytest.raises(ParameterError, match=words):
+            close_shake(sequence, log, **options)
+    closed, _ = close_shake(sequence, log, without=("table_acceleration",))
+    assert "table_acceleration_peak" not in closed.shakes[0].measured
+    assert "table_velocity_peak" in closed.shakes[0].measured
+    with pytest.raises(LogError, match="given twice"):
+        identify([log, log], design)
+    with pytest.raises(ParameterError, match="sampler_seconds"):
+        identify([log], design, sampler_seconds=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("amplitude", "x"), ("inside", 5), ("inside", {"a": "x"}), ("forecast", {}),
+        ("forecast", {"intervals": {"table_displacement_rms": "abc"}}), ("log", ["only a name"]),
+    ],
+)  # fmt: skip
+def test_a_damaged_state_is_refused_where_it_is_read(tmp_path, field, value):
+    begun(tmp_path / "one")
+    file = tmp_path / "one" / "sequence.json"
+    content = json.loads(file.read_text(encoding="utf-8"))
+    read_sequence(tmp_path / "one")
+    content["shakes"][0][field] = value
+    file.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(FileError, match="is damaged"):
         read_sequence(tmp_path / "one")
 
 
