@@ -207,7 +207,7 @@ def print_scenario_help(kind: type[Any], prog: str) -> None:
 def scenario_options(kind: type[Any]) -> tuple[str, ScenarioOptions] | None:
     """Return what stands ahead of a command's scenario options, and their defaults; None: no options."""
     for field in fields(kind) if is_dataclass(kind) else ():
-        made = field.default if field.default_factory is MISSING else field.default_factory()
+        made: Any = field.default if field.default_factory is MISSING else field.default_factory()
         if isinstance(made, ScenarioOptions):
             return "", made
         if field.name == "config":
