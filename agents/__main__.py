@@ -14,6 +14,7 @@ from typing import Any
 import shake_env
 from agents.cli.command_options import CommandOptions
 from agents.cli.commands import COMPLETION, HELP, command_help, parse, print_completion
+from agents.cli.output_path import without_empty_folders
 from agents.earlier_names import present_words
 from agents.progress import display
 from agents.reporting.terminal import OutputConsole
@@ -110,7 +111,8 @@ def run(command: CommandOptions, title: str) -> int:
     console = OutputConsole(quiet=silent, width=None if sys.stdout.isatty() else 10_000)
     display.begin(title, quiet=command.quiet, verbose=command.verbose)
     try:
-        result = command.run(console)
+        with without_empty_folders():
+            result = command.run(console)
     finally:
         display.end()
     if command.json:

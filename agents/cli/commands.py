@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any
 
 import tyro
@@ -194,21 +194,25 @@ def print_completion(words: Sequence[str]) -> None:
 
 def print_scenario_help(kind: type[Any], prog: str) -> None:
     """Print what changes the scenario of a command, and exit."""
-    prefix = scenario_prefix(kind)
-    if prefix is None:
+    found = scenario_options(kind)
+    if found is None:
         raise ParameterError(HELP_SCENARIO.lstrip("-"), prog, "has no scenario options")
+    prefix, usual = found
     about = f"Options of {prog} that say what the scenario is, and what to change about it."
     if prefix:
         about += f" Write each as --{prefix}NAME, such as --{prefix}stories 5."
-    tyro.cli(ScenarioOptions, prog=prog, description=about, args=["--help"])
+    tyro.cli(ScenarioOptions, prog=prog, description=about, args=["--help"], default=usual)
 
 
-def scenario_prefix(kind: type[Any]) -> str | None:
-    """Return what stands ahead of the name of a command's scenario options; None: it has none."""
-    names = getattr(kind, "__dataclass_fields__", {})
-    if "scenario" in names:
-        return ""
-    return "config.scenario." if "config" in names else None
+def scenario_options(kind: type[Any]) -> tuple[str, ScenarioOptions] | None:
+    """Return what stands ahead of a command's scenario options, and their defaults; None: no options."""
+    for field in fields(kind) if is_dataclass(kind) else ():
+        made: Any = field.default if field.default_factory is MISSING else field.default_factory()
+        if isinstance(made, ScenarioOptions):
+            return "", made
+        if field.name == "config":
+            return "config.scenario.", made.scenario
+    return None
 
 
 def brief_scenario(prog: str) -> ConstructorRegistry:
@@ -221,7 +225,9 @@ def brief_scenario(prog: str) -> ConstructorRegistry:
         if info.type is not ScenarioOptions:
             return None
         text = f"{SCENARIO_HELP} {others} more options change it: {prog} {HELP_SCENARIO} lists them."
-        shown = StructFieldSpec("scenario", str, ScenarioOptions.scenario, helptext=text)
+        given = info.default  # the command's own, if it has one
+        usual = given if isinstance(given, ScenarioOptions) else ScenarioOptions()
+        shown = StructFieldSpec("scenario", str, usual.scenario, helptext=text)
         return StructConstructorSpec(ScenarioOptions, (shown,))
 
     return registry

@@ -3,11 +3,29 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
 
 from shake_env.errors import ParameterError
 from shake_env.files import no_file
+
+# Folders that commands made before their work, outermost first, until `without_empty_folders` ends.
+_made: list[Path] = []
+
+
+@contextmanager
+def without_empty_folders() -> Iterator[None]:
+    """Remove, at the end, the folders that `require_writable` made in between and nobody wrote to."""
+    before = len(_made)
+    try:
+        yield
+    finally:
+        for folder in reversed(_made[before:]):
+            with suppress(OSError):  # it holds files, or another program removed it
+                folder.rmdir()
+        del _made[before:]
 
 
 def output_folder(
@@ -88,7 +106,9 @@ def require_storage(storage: str) -> None:
 def require_writable(folder: Path, field: str) -> None:
     """Raise ParameterError unless a folder can be written to; make it."""
     try:
+        missing = [path for path in (folder, *folder.parents) if not path.exists()]
         folder.mkdir(parents=True, exist_ok=True)
+        _made.extend(reversed(missing))
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:

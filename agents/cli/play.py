@@ -23,7 +23,7 @@ from agents.scenario_options import ScenarioOptions
 from shake_env import ShakeTableEnv
 from shake_env.controller import Controller, decide
 from shake_env.errors import ParameterError, ScenarioError, unknown
-from shake_env.motion.targets import Motion
+from shake_env.motion.targets import Motion, whole_periods
 from shake_env.rendering.window import FRAME_RATE, NO_DISPLAY, Window
 from shake_env.rollout import recorded_earthquakes
 from shake_env.scenario.scenario import Scenario
@@ -77,6 +77,8 @@ class Play(CommandOptions):
         from baselines.registry import reference_name
 
         scenario = self.scenario.build()
+        if self.seconds is not None:
+            whole_periods(self.seconds, scenario.control_period, "seconds")
         rate = FRAME_RATE if self.save is None else FILMS[self.save.suffix.lower()]
         episode = Episode(
             scenario,

@@ -155,13 +155,13 @@ def build_test(
     return target
 
 
-def step_times(folder: str | os.PathLike[str], name: str) -> dict[str, float]:
-    """Return median and worst time [us] of 100 000 steps of a written export's program.
+def step_times(folder: str | os.PathLike[str], name: str, steps: int = 100_000) -> dict[str, float]:
+    """Return median and worst time [us] of so many steps of a written export's program, at most 100 000.
 
     `worst_us` is by the clock, `worst_processor_us` in processor time.
     """
     folder = Path(folder)
     test = build_test(folder, name)
-    done = subprocess.run([str(test), "--time"], capture_output=True, text=True, check=True)
+    done = subprocess.run([str(test), "--time", str(steps)], capture_output=True, text=True, check=True)
     times: dict[str, float] = json.loads(done.stdout)
     return times

@@ -43,7 +43,7 @@ def controller_program(
     precision
         Of the arithmetic.
     prefix
-        Of functions and types; None: controller and scenario.
+        Of functions and types; None: `usual_prefix`.
 
     Raises
     ------
@@ -69,9 +69,20 @@ def controller_program(
     if supervised:
         controller = Supervised(controller, scenario)
         provenance["supervisor"] = "around the controller"
-    prefix = prefix or identifier(f"{name.rsplit('/', 1)[-1]}_{scenario.name}").lower()
+    prefix = prefix or usual_prefix(name, scenario, precision, supervised)
     title = f"Controller {name} of a shake table, scenario {scenario.name}"
     return as_program(controller, scenario, prefix, title, provenance, precision), controller
+
+
+def usual_prefix(name: str, scenario: Scenario, precision: Precision, supervised: bool = False) -> str:
+    """Return the prefix of an export: controller and scenario, supervisor and single precision.
+
+    Exports that differ in one of these can be linked into one program. Those of one scenario under
+    other options have the same; they need prefixes of their own.
+    """
+    words = [name.rstrip("/").rsplit("/", 1)[-1], scenario.name]
+    words += ["supervised"] * supervised + [precision] * (precision != "float64")
+    return identifier("_".join(words)).lower()
 
 
 def as_program(

@@ -35,7 +35,7 @@ BASE_UNITS = {
     "A": {"A": 1},
     "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
 }
-_REASON = "not offered, as the model description says"
+_REASON = "this FMU does not offer it: use what modelDescription.xml names"
 _REFERENCES = [("const reference_t *", "references"), ("size_t ", "count")]
 
 
@@ -59,6 +59,7 @@ def write_fmu(program: Program, path: str | os.PathLike[str], version: Version =
     env.filters["unit"] = _unit
     interface = f"{program.name}_fmi{major}.c"
     context: dict[str, Any] = {
+        "major": major,
         "name": program.name,
         "NAME": program.name.upper(),
         "title": program.title,
@@ -67,6 +68,7 @@ def write_fmu(program: Program, path: str | os.PathLike[str], version: Version =
         "period": repr(program.period),
         "inputs": program.inputs,
         "outputs": program.outputs,
+        "rounds_inputs": program.rounds_inputs,
         "units": _units(program),
         "sources": [f"{program.name}.c", interface],
         "unsupported": _UNSUPPORTED[version],

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 import shake_env
-from agents.deployment.channels import Channel, current_channel, identifier, named_channels
-from agents.deployment.controller_program import comment_text, valve_numbers
+from agents.deployment.channels import Channel, current_channel, named_channels
+from agents.deployment.controller_program import comment_text, usual_prefix, valve_numbers
 from agents.deployment.program import Block, Precision, Program, flat
 from agents.provenance import code_version
 from shake_env.dynamics.linear import TableDynamics
@@ -52,7 +52,7 @@ def plant_program(
         "scenario": f"{scenario.name}, digest {scenario_digest(scenario)}",
     }
     return Program(
-        name=prefix or identifier(f"table_{scenario.name}").lower(),
+        name=prefix or usual_prefix("table", scenario, precision),
         title=comment_text(f"Shake table with specimen and sensors, scenario {scenario.name}"),
         block=block,
         inputs=(current_channel(scenario),),

@@ -12,20 +12,28 @@ from agents.seeds import RUN_SEEDS
 from agents.training.algorithm_options import ProximalOptions
 from agents.training.artificial_motions import artificial_motions
 from agents.training.config import TrainConfig
-from shake_env.motion.targets import FilteredNoise, MotionSet
+from shake_env.motion.targets import FilteredNoise, MotionSet, whole_periods
 from shake_env.scenario.scenario import Scenario
 
 TrainingTables = ShakeTableVecEnv | PairedVecEnv
 
 
 def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
-    """Return the training scenario: shortened episodes and a tighter bound on the scaled state."""
+    """Return the training scenario: shortened episodes and a tighter bound on the scaled state.
+
+    Raises
+    ------
+    ParameterError
+        If an episode is shorter than one control period.
+    """
     made = make_training_scenario(
         scenario,
         horizon=config.lookahead,
         duration=config.episode_duration,
         state_limit=config.state_limit,
     )
+    if isinstance(made.motion, FilteredNoise):
+        whole_periods(config.episode_duration, made.control_period, "episode_duration")
     if isinstance(made.motion, FilteredNoise) and config.num_artificial_motions:
         others = artificial_motions(scenario, config.num_artificial_motions, config.seed * RUN_SEEDS)
         made = replace(made, motion=MotionSet((*[made.motion] * config.num_artificial_motions, *others)))

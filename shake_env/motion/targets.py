@@ -188,9 +188,20 @@ def control_steps(motion: EpisodeMotion, period: float, physics_step: float) -> 
         duration = motion.duration
     else:
         duration = (len(target_history(motion, physics_step).acceleration) - 1) * physics_step
-    steps = math.floor(duration / period + 1e-9)
+    return whole_periods(duration, period)
+
+
+def whole_periods(duration: float, period: float, field: str = "duration") -> int:
+    """Return the number of whole control periods in a time [s]; an error names `field`.
+
+    Raises
+    ------
+    ParameterError
+        If the time is shorter than one period [s], or not finite.
+    """
+    steps = math.floor(duration / period + 1e-9) if math.isfinite(duration) else 0
     if steps < 1:
-        raise ParameterError("duration", duration, f"must hold at least one control period ({period} s)")
+        raise ParameterError(field, duration, f"must hold at least one control period ({period:g} s)")
     return steps
 
 

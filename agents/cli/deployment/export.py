@@ -44,7 +44,9 @@ class Export(CommandOptions):
     fmi: Literal["2.0", "3.0"] = "3.0"
     """Version of FMI."""
     prefix: str | None = None
-    """Prefix of the C functions and the FMU's model identifier (default: CONTROLLER_SCENARIO)."""
+    """Prefix of the C functions and the FMU's model identifier (default: CONTROLLER_SCENARIO, with
+    _supervised and _float32 where they are asked for). Programs that are linked together need different
+    ones."""
     force: Flag = False
     """Write into a folder although there are files in it."""
 

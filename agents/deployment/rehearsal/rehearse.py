@@ -16,7 +16,7 @@ from agents.deployment.rehearsal.table import TableProcess
 from agents.laboratory.logs.hdf5_file import import_library
 from agents.laboratory.logs.log_file import write_log
 from shake_env.errors import ParameterError
-from shake_env.motion.targets import FilteredNoise
+from shake_env.motion.targets import FilteredNoise, whole_periods
 from shake_env.rollout import Earthquake, noise_earthquakes
 from shake_env.scenario.scenario import Scenario
 
@@ -75,13 +75,17 @@ def rehearse(
 
     Raises
     ------
+    ParameterError
+        If a test is shorter than one control period.
     LogError
         If logs are to be written and h5py is missing.
     """
+    periods = None
+    if plan.seconds is not None:
+        periods = whole_periods(plan.seconds, scenario.control_period, "seconds")
     if folder is not None:
         import_library("h5py")
     earthquakes = _earthquakes(scenario, plan)
-    periods = None if plan.seconds is None else round(plan.seconds / scenario.control_period)
     process = start_controller(name, scenario, plan.runs, plan.supervised)
     tests: list[Rehearsal] = []
     missed: list[dict[str, Any]] = []

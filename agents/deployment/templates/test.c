@@ -2,6 +2,7 @@
  *
  * --stream reads doubles, {{ NAME }}_INPUTS + 1 a period: first 1 where a test begins and else 0, then
  * the inputs over their scales. It writes {{ NAME }}_OUTPUTS + 1 doubles a period: code, then outputs.
+ * --time N times N steps, at most and by default TIMED.
  */
 #define _POSIX_C_SOURCE 199309L
 #include "{{ name }}.h"
@@ -18,6 +19,7 @@
 
 static {{ name }}_t memory;
 static double times[TIMED];
+static int steps = TIMED;
 
 static int check(void)
 {
@@ -86,7 +88,7 @@ static double measure(clockid_t clock)
     double sum = 0.0;
 
     {{ name }}_init(&memory);
-    for (int k = 0; k < TIMED; k++) {
+    for (int k = 0; k < steps; k++) {
         {{ name }}_real inputs[{{ NAME }}_INPUTS];
         struct timespec before, after;
 
@@ -99,7 +101,7 @@ static double measure(clockid_t clock)
         sum += (double)outputs[0];
         times[k] = 1e6 * (double)(after.tv_sec - before.tv_sec) + 1e-3 * (double)(after.tv_nsec - before.tv_nsec);
     }
-    qsort(times, TIMED, sizeof times[0], ascending);
+    qsort(times, (size_t)steps, sizeof times[0], ascending);
     return sum;
 }
 
@@ -107,11 +109,11 @@ static double measure(clockid_t clock)
 static int report(void)
 {
     const double sum = measure(CLOCK_MONOTONIC);
-    const double median = times[TIMED / 2], worst = times[TIMED - 1];
+    const double median = times[steps / 2], worst = times[steps - 1];
 
     (void)measure(CLOCK_THREAD_CPUTIME_ID);
     printf("{\"steps\": %d, \"median_us\": %.3f, \"worst_us\": %.3f, \"worst_processor_us\": %.3f, \"sum\": %.9g}\n",
-        TIMED, median, worst, times[TIMED - 1], sum);
+        steps, median, worst, times[steps - 1], sum);
     return 0;
 }
 
@@ -121,6 +123,13 @@ int main(int argc, char **argv)
         return stream();
     }
     if (argc > 1 && strcmp(argv[1], "--time") == 0) {
+        if (argc > 2) {
+            steps = atoi(argv[2]);
+        }
+        if (steps < 1 || steps > TIMED) {
+            printf("%d steps: give 1 to %d\n", steps, TIMED);
+            return 2;
+        }
         return report();
     }
     return check();

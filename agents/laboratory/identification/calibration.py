@@ -19,7 +19,7 @@ from baselines.batch_controllers import Rescaled
 from baselines.registry import make_baseline
 from shake_env.errors import ParameterError, ShakeError
 from shake_env.model.parameters import FloatArray
-from shake_env.motion.targets import FilteredNoise
+from shake_env.motion.targets import FilteredNoise, whole_periods
 from shake_env.rollout import Earthquake, rollout
 from shake_env.scenario.limits import Limits
 from shake_env.scenario.scenario import Scenario
@@ -70,7 +70,13 @@ def calibrate(
         Told all rows after each data set.
     on_progress
         Told the share of the data sets done.
+
+    Raises
+    ------
+    ParameterError
+        If a log would be shorter than one control period.
     """
+    whole_periods(seconds, scenario.control_period, "seconds")
     prior = default_prior(scenario)
     rows = [dict(row) for row in done]
     present = {row["number"] for row in rows}

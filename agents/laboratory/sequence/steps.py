@@ -90,10 +90,11 @@ def plan_sequence(
     )
     if (folder / "sequence.json").exists():
         raise ParameterError("folder", str(folder), "holds a sequence already: give another")
-    folder.mkdir(parents=True, exist_ok=True)
     if isinstance(scenario.uncertainty, PlantSamples) and prior is None:
         raise ParameterError("prior", "samples", "give the posterior's file as --prior, too")
-    first_belief(scenario, prior, samples=4 * samples, seed=seed).write(sequence.posterior_file(0))
+    belief = first_belief(scenario, prior, samples=4 * samples, seed=seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    belief.write(sequence.posterior_file(0))
     sequence.write()
     return sequence
 

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from agents import progress
 from agents.__main__ import main
-from agents.cli.commands import COMMANDS, parse
+from agents.cli.commands import COMMANDS, parse, scenario_options
 from agents.progress import Display, progress_bar
 
 ROOT = Path(__file__).parents[3]
@@ -85,6 +85,38 @@ def test_the_scenario_options_stand_behind_one_heading(capsys):
     assert number == len(listed)
     assert parse(["compare", "--stories", "5"]).scenario.stories == 5
     assert main(["list", "--help-scenario"]) == 2
+
+
+def default_scenario(text):
+    """The default of --scenario that a help text states; None without that option."""
+    line = " ".join(re.sub("[│\n]", " ", text).split())
+    found = re.search(
+        r"--(?:config\.scenario\.)?scenario (?:STR|\{None\}\|STR) .*?\(default: (.*?)\)", line
+    )
+    return found and found[1]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_states_the_scenario_that_a_command_has(name, capsys):
+    kind = COMMANDS[name].load()
+    own = scenario_options(kind)
+    with pytest.raises(SystemExit):
+        main([name, "--help"])
+    brief = capsys.readouterr().out
+    if own is None:  # a name or a file alone, which nothing changes
+        assert "more options change it" not in brief
+        assert main([name, "--help-scenario"]) == 2
+        return
+    assert default_scenario(brief) == own[1].scenario
+    with pytest.raises(SystemExit):
+        main([name, "--help-scenario"])
+    assert default_scenario(capsys.readouterr().out) == own[1].scenario
+
+
+def test_what_runs_is_what_help_states():
+    assert parse(["rehearse"]).scenario.build().name == "laboratory"
+    assert parse(["plan", "a_record"]).scenario.build().name == "laboratory"
+    assert parse(["play"]).scenario.build().name == "linear"
 
 
 @pytest.mark.parametrize("words", [["--help"], ["--version"], ["list"], ["compare", "--help"]])

@@ -4,11 +4,20 @@
 typedef void *component_t;
 typedef unsigned int reference_t;
 
+/* fmi2CallbackFunctions */
+typedef struct {
+    log_t logger;
+    void *(*allocate)(size_t, size_t);
+    void (*release)(void *);
+    void (*finished)(void *, int);
+    void *environment;
+} callbacks_t;
+
 EXPORT const char *fmi2GetTypesPlatform(void);
 EXPORT const char *fmi2GetVersion(void);
 EXPORT int fmi2SetDebugLogging(component_t c, int on, size_t count, const char *const *categories);
 EXPORT component_t fmi2Instantiate(const char *name, int type, const char *guid, const char *resources,
-    const void *functions, int visible, int logging);
+    const callbacks_t *functions, int visible, int logging);
 EXPORT void fmi2FreeInstance(component_t c);
 EXPORT int fmi2SetupExperiment(component_t c, int defined, double tolerance, double start, int stops, double stop);
 EXPORT int fmi2EnterInitializationMode(component_t c);
@@ -49,14 +58,19 @@ int fmi2SetDebugLogging(component_t c, int on, size_t count, const char *const *
 }
 
 component_t fmi2Instantiate(const char *name, int type, const char *guid, const char *resources,
-    const void *functions, int visible, int logging)
+    const callbacks_t *functions, int visible, int logging)
 {
-    (void)name;
+    const listener_t listener = listener_of((functions != NULL) ? functions->logger : NULL,
+        (functions != NULL) ? functions->environment : NULL, name);
+
     (void)resources;
-    (void)functions;
     (void)visible;
-    (void)logging;
-    return (type == 1) ? instantiate(guid) : NULL; /* co-simulation */
+    (void)logging; /* of debugging; errors are always told */
+    if (type != 1) {
+        tell(&listener, "fmi2Instantiate: type %d: this FMU is for co-simulation (1) only", type);
+        return NULL;
+    }
+    return instantiate(guid, &listener);
 }
 
 void fmi2FreeInstance(component_t c)
@@ -70,7 +84,7 @@ int fmi2SetupExperiment(component_t c, int defined, double tolerance, double sta
     (void)tolerance;
     (void)stops;
     (void)stop;
-    ((instance_t *)c)->time = start;
+    ((instance_t *)c)->state.time = start;
     return OK;
 }
 
@@ -100,12 +114,12 @@ int fmi2Reset(component_t c)
 
 int fmi2GetReal(component_t c, const reference_t *references, size_t count, double *values)
 {
-    return get_values((const instance_t *)c, references, count, values);
+    return get_values((const instance_t *)c, "fmi2GetReal", references, count, values);
 }
 
 int fmi2SetReal(component_t c, const reference_t *references, size_t count, const double *values)
 {
-    return set_values((instance_t *)c, references, count, values);
+    return set_values((instance_t *)c, "fmi2SetReal", references, count, values);
 }
 
 int fmi2DoStep(component_t c, double point, double size, int no_return)
@@ -134,36 +148,32 @@ int fmi2SerializedFMUstateSize(component_t c, void *state, size_t *size)
 {
     (void)c;
     (void)state;
-    *size = sizeof(instance_t);
+    *size = sizeof(state_t);
     return OK;
 }
 
 int fmi2SerializeFMUstate(component_t c, void *state, char *bytes, size_t size)
 {
-    (void)c;
-    return serialize(state, bytes, size);
+    return serialize((const instance_t *)c, "fmi2SerializeFMUstate", state, bytes, size);
 }
 
 int fmi2DeSerializeFMUstate(component_t c, const char *bytes, size_t size, void **state)
 {
-    (void)c;
-    return deserialize(bytes, size, state);
+    return deserialize((const instance_t *)c, "fmi2DeSerializeFMUstate", bytes, size, state);
 }
 
 int fmi2CancelStep(component_t c)
 {
-    (void)c;
-    return ERROR;
+    return not_offered((const instance_t *)c, "fmi2CancelStep");
 }
 
 {% for function, parameters in unsupported.items() %}
 int {{ function }}(component_t c, {{ parameters|map("join", "")|join(", ") }})
 {
-    (void)c;
 {% for kind, parameter in parameters %}
     (void){{ parameter }};
 {% endfor %}
-    return ERROR; /* {{ reason }} */
+    return not_offered((const instance_t *)c, "{{ function }}");
 }
 
 {% endfor %}

@@ -10,11 +10,11 @@ EXPORT const char *fmi3GetVersion(void);
 EXPORT int fmi3SetDebugLogging(fmu_t c, bool on, size_t count, const char *const *categories);
 EXPORT fmu_t fmi3InstantiateCoSimulation(const char *name, const char *token, const char *resources,
     bool visible, bool logging, bool events, bool early, const reference_t *needed, size_t count,
-    void *environment, void (*log)(void *, int, const char *, const char *), void (*update)(void));
+    void *environment, log_t log, void (*update)(void));
 EXPORT fmu_t fmi3InstantiateModelExchange(const char *name, const char *token, const char *resources,
-    bool visible, bool logging, void *environment, void (*log)(void *, int, const char *, const char *));
+    bool visible, bool logging, void *environment, log_t log);
 EXPORT fmu_t fmi3InstantiateScheduledExecution(const char *name, const char *token, const char *resources,
-    bool visible, bool logging, void *environment, void (*log)(void *, int, const char *, const char *),
+    bool visible, bool logging, void *environment, log_t log,
     void (*update)(void *), void (*lock)(void), void (*unlock)(void));
 EXPORT void fmi3FreeInstance(fmu_t c);
 EXPORT int fmi3EnterInitializationMode(fmu_t c, bool defined, double tolerance, double start, bool stops,
@@ -40,6 +40,13 @@ EXPORT int fmi3DoStep(fmu_t c, double point, double size, bool no_return, bool *
 EXPORT int {{ function }}(fmu_t c{% if parameters %}, {{ parameters|map("join", "")|join(", ") }}{% endif %});
 {% endfor %}
 
+static int wrong_count(const instance_t *instance, const char *function, size_t count, size_t size)
+{
+    tell(&instance->listener, "%s: %lu value references and %lu values: give a value for each",
+        function, (unsigned long)count, (unsigned long)size);
+    return ERROR;
+}
+
 const char *fmi3GetVersion(void)
 {
     return "3.0";
@@ -56,50 +63,49 @@ int fmi3SetDebugLogging(fmu_t c, bool on, size_t count, const char *const *categ
 
 fmu_t fmi3InstantiateCoSimulation(const char *name, const char *token, const char *resources,
     bool visible, bool logging, bool events, bool early, const reference_t *needed, size_t count,
-    void *environment, void (*log)(void *, int, const char *, const char *), void (*update)(void))
+    void *environment, log_t log, void (*update)(void))
 {
-    (void)name;
+    const listener_t listener = listener_of(log, environment, name);
+
     (void)resources;
     (void)visible;
-    (void)logging;
+    (void)logging; /* of debugging; errors are always told */
     (void)events;
     (void)early;
     (void)needed;
     (void)count;
-    (void)environment;
-    (void)log;
     (void)update;
-    return instantiate(token);
+    return instantiate(token, &listener);
 }
 
 fmu_t fmi3InstantiateModelExchange(const char *name, const char *token, const char *resources,
-    bool visible, bool logging, void *environment, void (*log)(void *, int, const char *, const char *))
+    bool visible, bool logging, void *environment, log_t log)
 {
-    (void)name;
+    const listener_t listener = listener_of(log, environment, name);
+
     (void)token;
     (void)resources;
     (void)visible;
     (void)logging;
-    (void)environment;
-    (void)log;
-    return NULL; /* {{ reason }} */
+    tell(&listener, "fmi3InstantiateModelExchange: this FMU is for co-simulation: call fmi3InstantiateCoSimulation");
+    return NULL;
 }
 
 fmu_t fmi3InstantiateScheduledExecution(const char *name, const char *token, const char *resources,
-    bool visible, bool logging, void *environment, void (*log)(void *, int, const char *, const char *),
+    bool visible, bool logging, void *environment, log_t log,
     void (*update)(void *), void (*lock)(void), void (*unlock)(void))
 {
-    (void)name;
+    const listener_t listener = listener_of(log, environment, name);
+
     (void)token;
     (void)resources;
     (void)visible;
     (void)logging;
-    (void)environment;
-    (void)log;
     (void)update;
     (void)lock;
     (void)unlock;
-    return NULL; /* {{ reason }} */
+    tell(&listener, "fmi3InstantiateScheduledExecution: this FMU is for co-simulation: call fmi3InstantiateCoSimulation");
+    return NULL;
 }
 
 void fmi3FreeInstance(fmu_t c)
@@ -113,7 +119,7 @@ int fmi3EnterInitializationMode(fmu_t c, bool defined, double tolerance, double 
     (void)tolerance;
     (void)stops;
     (void)stop;
-    ((instance_t *)c)->time = start;
+    ((instance_t *)c)->state.time = start;
     return OK;
 }
 
@@ -128,8 +134,7 @@ int fmi3{{ function }}(fmu_t c)
 {% for function in ("EnterConfigurationMode", "ExitConfigurationMode") %}
 int fmi3{{ function }}(fmu_t c)
 {
-    (void)c;
-    return ERROR; /* {{ reason }} */
+    return not_offered((const instance_t *)c, "fmi3{{ function }}");
 }
 
 {% endfor %}
@@ -141,12 +146,14 @@ int fmi3Reset(fmu_t c)
 
 int fmi3GetFloat64(fmu_t c, const reference_t *references, size_t count, double *values, size_t size)
 {
-    return (size == count) ? get_values((const instance_t *)c, references, count, values) : ERROR;
+    return (size == count) ? get_values((const instance_t *)c, "fmi3GetFloat64", references, count, values)
+        : wrong_count((const instance_t *)c, "fmi3GetFloat64", count, size);
 }
 
 int fmi3SetFloat64(fmu_t c, const reference_t *references, size_t count, const double *values, size_t size)
 {
-    return (size == count) ? set_values((instance_t *)c, references, count, values) : ERROR;
+    return (size == count) ? set_values((instance_t *)c, "fmi3SetFloat64", references, count, values)
+        : wrong_count((const instance_t *)c, "fmi3SetFloat64", count, size);
 }
 
 int fmi3GetFMUState(fmu_t c, void **state)
@@ -169,20 +176,18 @@ int fmi3SerializedFMUStateSize(fmu_t c, void *state, size_t *size)
 {
     (void)c;
     (void)state;
-    *size = sizeof(instance_t);
+    *size = sizeof(state_t);
     return OK;
 }
 
 int fmi3SerializeFMUState(fmu_t c, void *state, unsigned char *bytes, size_t size)
 {
-    (void)c;
-    return serialize(state, bytes, size);
+    return serialize((const instance_t *)c, "fmi3SerializeFMUState", state, bytes, size);
 }
 
 int fmi3DeserializeFMUState(fmu_t c, const unsigned char *bytes, size_t size, void **state)
 {
-    (void)c;
-    return deserialize(bytes, size, state);
+    return deserialize((const instance_t *)c, "fmi3DeserializeFMUState", bytes, size, state);
 }
 
 int fmi3DoStep(fmu_t c, double point, double size, bool no_return, bool *event, bool *ends, bool *early,
@@ -201,11 +206,10 @@ int fmi3DoStep(fmu_t c, double point, double size, bool no_return, bool *event, 
 {% for function, parameters in unsupported.items() %}
 int {{ function }}(fmu_t c{% if parameters %}, {{ parameters|map("join", "")|join(", ") }}{% endif %})
 {
-    (void)c;
 {% for kind, parameter in parameters %}
     (void){{ parameter }};
 {% endfor %}
-    return ERROR; /* {{ reason }} */
+    return not_offered((const instance_t *)c, "{{ function }}");
 }
 
 {% endfor %}
