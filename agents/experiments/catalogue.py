@@ -98,7 +98,8 @@ EVALUATION_TASKS: tuple[EvaluationTask, ...] = (
         name="unknown-specimen",
         options=ScenarioOptions("unknown-specimen"),
         baselines=(
-            "lqg", "lqg-dac", "adaptive", "multi-model", "h-infinity", "lqg-searched", "nmpc", "none",
+            "lqg", "lqg-dac", "adaptive", "multi-model", "h-infinity", "lqg-searched", "nmpc",
+            "nmpc-adaptive", "none",
         ),
         fidelity=False,
     ),
@@ -115,7 +116,7 @@ EVALUATION_TASKS: tuple[EvaluationTask, ...] = (
         baselines=(
             "lqg", "lqg-dac", "lqr-friction-ff", "lqg-searched", "nmpc", "nmpc-adaptive", "none",
         ),
-        earthquakes=50,  # `nmpc-adaptive` takes half a minute of each
+        earthquakes=50,  # `nmpc-adaptive` takes ten seconds of each
         fidelity=False,
     ),
 )
