@@ -19,9 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.estimation.ground_estimate import ReferenceRecursion
+from baselines.planning.design_of_plant import design_of_plant
 from baselines.planning.ekf import ExtendedKalmanFilter, TableEstimate, model_error
-from baselines.planning.forecast import HorizonForecast
 from baselines.planning.model import PlanningModel
 from baselines.planning.nmpc import Design, NMPCSettings, NonlinearPredictiveControl, PlanMemory
 from shake_env.errors import ScenarioError
@@ -145,29 +144,8 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
         """Return the design for these parameters, in units of the nominal observation and state."""
         plant = self.parameters.plant(parameters)
         own = PlanningModel.of(plant, self._error)
-        ahead = HorizonForecast.from_scenario(
-            plant, own, self.horizon, self.settings.displacement_tolerance
-        )
-        recursion = ReferenceRecursion.from_scenario(plant)
-        shown, layout = self._own.plant.state_scale, plant.plant.layout
-        sizes = shown / plant.plant.state_scale
-        e = np.r_[layout.ground, layout.reference]
-        width = ahead.signals.shape[1]
-        columns = np.concatenate([sizes[e], np.ones(width - len(e))])
-        S = self.model.scale / own.scale
-        linear = (ahead.on_end @ ahead.end + ahead.beyond) * columns
-        r, g = sizes[layout.reference], sizes[layout.ground]
-        cost = plant.stage_cost
-        return Design(
-            signals=ahead.signals * columns,
-            place=ahead.place * columns,
-            linear_cost=S[:, None] * linear,
-            curvature=S[:, None] * ahead.curvature * S,
-            follow=recursion.S * r / r[:, None],
-            before=recursion.W_before * g / r[:, None],
-            now=recursion.W_now * g / r[:, None],
-            weights=np.array([cost.acceleration, cost.force, cost.current]),
-        )
+        tolerance = self.settings.displacement_tolerance
+        return design_of_plant(plant, own, self.model, self._own, self.horizon, tolerance)
 
     def _rest(self, lanes: int) -> PlanMemory:
         models, design = self._first
