@@ -1,4 +1,4 @@
-"""A plan on the plant that an episode draws: told the nominal one it is `nmpc`, told the truth cheaper."""
+"""A plan on the plant of each episode: told the nominal one it is `nmpc`, told the truth cheaper."""
 
 from dataclasses import replace
 
