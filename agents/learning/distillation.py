@@ -45,8 +45,9 @@ class Distillation(BaseAlgorithm):
     DAgger (Ross, Gordon and Bagnell, AISTATS 2011): the tables run whole episodes, in the first round
     under the teacher and then under the student; at every control period the teacher is asked what it
     would do, from the same observation. The student is fitted to the labels of the last rounds by
-    least squares of the correction that it adds to the base controller. A label is of what the
-    scenario shows to both, so that the student needs no signal that a table does not have.
+    least squares of the correction that it adds to the base controller. The student sees what the
+    scenario shows; so does the teacher, unless it is one that is told the drawn plants
+    (`baselines.planning.informed`): then the student learns the mean of the labels given the signals.
 
     Of SB3's manners it keeps what a callback sees: ``on_rollout_start`` before each round, ``on_step``
     and ``on_rollout_end`` after it; ``num_timesteps`` counts control periods of all tables.
@@ -58,7 +59,7 @@ class Distillation(BaseAlgorithm):
     env
         A `ShakeTableVecEnv`.
     teacher
-        Controller of many tables at once, of the observation alone.
+        Controller of many tables at once, which is given the observation alone.
     learning_rate
         Of the student; a schedule may depend on the progress remaining.
     buffer_size

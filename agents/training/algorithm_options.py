@@ -140,7 +140,8 @@ class DaggerOptions:
     """On-policy distillation of a controller into a policy (see `agents.learning.distillation`)."""
 
     teacher: str = "nmpc"
-    """Name of the controller that labels the observations of the scenario."""
+    """Name of the controller that labels the observations of the scenario. Where plants are drawn,
+    nmpc-informed is nmpc that is told each table's plant; no such controller exists at a table."""
     n_envs: int = 16
     """Tables run side by side, an episode each round."""
     learning_rate: float = 1e-3

@@ -26,8 +26,13 @@ from agents.learning.vec_env import ShakeTableVecEnv
 from agents.training.algorithm_options import SACOptions, TD3Options, TQCOptions
 from agents.training.config import TrainConfig
 from agents.training.tables import TrainingTables, base_tables
+from baselines.planning.informed import InformedPredictiveControl
 from baselines.registry import make_baseline
+from shake_env.controller import Controller
+from shake_env.errors import ParameterError
 from shake_env.scenario.scenario import Scenario
+
+INFORMED = "nmpc-informed"  # teacher that is told the plant; not a controller of the registry
 
 # By whether an actor has no biases, and whether it has a direct path.
 _ACTORS: dict[tuple[bool, bool], type[ActorCriticPolicy]] = {
@@ -271,6 +276,16 @@ def _analytic(
     )
 
 
+def _teacher(name: str, env: ShakeTableVecEnv) -> Controller:
+    """Return the controller that labels what the tables of an environment show."""
+    if name != INFORMED:
+        return make_baseline(name, env.scenario)
+    plants = env.simulation.plant_batch
+    if plants is None:
+        raise ParameterError("teacher", name, "the scenario draws no plant to be told: nmpc")
+    return InformedPredictiveControl(env.scenario, plants.plant)
+
+
 def _distillation(config: TrainConfig, policy: dict[str, Any], env: ShakeTableVecEnv) -> Distillation:
     chosen = config.dagger
     kind: type[ActorCriticPolicy] = _ACTORS[not chosen.actor_bias, True]
@@ -281,7 +296,7 @@ def _distillation(config: TrainConfig, policy: dict[str, Any], env: ShakeTableVe
     return Distillation(
         kind,
         env,
-        make_baseline(chosen.teacher, env.scenario),
+        _teacher(chosen.teacher, env),
         learning_rate=LinearDecay(chosen.learning_rate),
         buffer_size=chosen.buffer_size,
         batch_size=chosen.batch_size,

@@ -4,9 +4,9 @@ What the scenario draws at each reset (its `uncertainty`: specimen mass and freq
 friction, ...) is estimated by the extended Kalman filter, each parameter over its nominal value a slow
 random walk. Forces and flows are close to linear in them, so that the first readings lead near the
 truth. Slopes along a parameter come from models a step up and down. Where an estimate has moved, the
-table's models are made anew at it, and where it has moved further, the plan's design too: target,
-reference specimen, weights and the cost behind the horizon (certainty equivalence). The loop delay is
-not estimated.
+table's models are made anew at it, and the plan's design too: target, reference specimen, weights and
+the cost behind the horizon (certainty equivalence); between two renewals the filter goes on with slopes
+along the parameters. The loop delay is not estimated.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.estimation.ground_estimate import ReferenceRecursion
+from baselines.planning.design_of_plant import design_of_plant
 from baselines.planning.ekf import ExtendedKalmanFilter, TableEstimate, model_error
-from baselines.planning.forecast import HorizonForecast
 from baselines.planning.model import PlanningModel
 from baselines.planning.nmpc import Design, NMPCSettings, NonlinearPredictiveControl, PlanMemory
 from shake_env.errors import ScenarioError
@@ -34,6 +33,7 @@ STEP = 0.01  # [-] between the models that slopes along a parameter are taken fr
 WALK = 2e-4  # [-] that a parameter is taken to change by in a period
 RENEW_MODEL = 0.008  # [-] by which an estimate moves before the models of the table are made anew
 RENEW_DESIGN = 0.004  # [-] before the design is: a lightly damped reference asks for its frequency
+PAUSE = 0.1  # [s] at least between two renewals of a table's models, and of its design
 HISTORY = 2000  # periods of x_W from which the reference specimen is found anew for other parameters
 LEAST = 2e-2  # [-] of the highest value, the least that a parameter whose range begins at 0 is taken for
 
@@ -144,29 +144,8 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
         """Return the design for these parameters, in units of the nominal observation and state."""
         plant = self.parameters.plant(parameters)
         own = PlanningModel.of(plant, self._error)
-        ahead = HorizonForecast.from_scenario(
-            plant, own, self.horizon, self.settings.displacement_tolerance
-        )
-        recursion = ReferenceRecursion.from_scenario(plant)
-        shown, layout = self._own.plant.state_scale, plant.plant.layout
-        sizes = shown / plant.plant.state_scale
-        e = np.r_[layout.ground, layout.reference]
-        width = ahead.signals.shape[1]
-        columns = np.concatenate([sizes[e], np.ones(width - len(e))])
-        S = self.model.scale / own.scale
-        linear = (ahead.on_end @ ahead.end + ahead.beyond) * columns
-        r, g = sizes[layout.reference], sizes[layout.ground]
-        cost = plant.stage_cost
-        return Design(
-            signals=ahead.signals * columns,
-            place=ahead.place * columns,
-            linear_cost=S[:, None] * linear,
-            curvature=S[:, None] * ahead.curvature * S,
-            follow=recursion.S * r / r[:, None],
-            before=recursion.W_before * g / r[:, None],
-            now=recursion.W_now * g / r[:, None],
-            weights=np.array([cost.acceleration, cost.force, cost.current]),
-        )
+        tolerance = self.settings.displacement_tolerance
+        return design_of_plant(plant, own, self.model, self._own, self.horizon, tolerance)
 
     def _rest(self, lanes: int) -> PlanMemory:
         models, design = self._first
@@ -175,7 +154,7 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
         at = np.repeat(self.parameters.nominal[None], lanes, axis=0)
         history = np.zeros((lanes, 0, self._layout.filter_states))
         none = np.zeros(lanes, dtype=int)
-        fresh = Tables(at, at.copy(), stack, designs, history, none, none.astype(bool))
+        fresh = Tables(at, at.copy(), stack, designs, history, none, none.astype(bool), none)
         return replace(super()._rest(lanes), tables=fresh)
 
     def _estimate(
@@ -198,6 +177,7 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
         models, design = self._first
         stack, arrays = [m.copy() for m in tables.models], [d.copy() for d in tables.design.arrays]
         anchor, designed = tables.anchor.copy(), tables.designed.copy()
+        since = np.where(fresh, 0, tables.since)
         v = 2 * len(self.parameters.names) + 1
         for n in np.flatnonzero(fresh):
             for whole, own in zip(stack, models, strict=True):
@@ -205,14 +185,19 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
             for whole, own in zip(arrays, design.arrays, strict=True):
                 whole[n] = own
             anchor[n] = designed[n] = self.parameters.nominal
-        return replace(tables, anchor=anchor, designed=designed, models=stack, design=Design(*arrays))
+        return replace(
+            tables, anchor=anchor, designed=designed, models=stack, design=Design(*arrays), since=since
+        )
 
     def _renewed(self, tables: Tables, estimate: FloatArray) -> Tables:
         """Return the tables with models and designs at estimates (N, p) that have moved."""
         moved = np.abs(estimate - tables.anchor).max(axis=1) > RENEW_MODEL
         far = np.abs(estimate - tables.designed).max(axis=1) > RENEW_DESIGN
+        due = tables.since * self._scenario.control_period >= PAUSE
+        moved, far = moved & due, far & due
+        since = np.where(moved | far, 1, tables.since + 1)
         if not (moved.any() or far.any()):
-            return replace(tables, renewed=far)
+            return replace(tables, renewed=far, since=since)
         v = estimate.shape[1] * 2 + 1
         stack, anchor = [m.copy() for m in tables.models], tables.anchor.copy()
         for n in np.flatnonzero(moved):
@@ -227,8 +212,9 @@ class AdaptivePredictiveControl(NonlinearPredictiveControl):
                 whole[n] = own
             designed[n] = estimate[n]
         return replace(
-            tables, anchor=anchor, designed=designed, models=stack, design=Design(*arrays), renewed=far
-        )
+            tables, anchor=anchor, designed=designed, models=stack, design=Design(*arrays), renewed=far,
+            since=since,
+        )  # fmt: skip
 
     def _noted(self, tables: Tables, ground: FloatArray, fresh: NDArray[np.bool_]) -> Tables:
         history = np.concatenate([tables.history[:, -HISTORY + 1 :], ground[:, None]], axis=1)
@@ -275,6 +261,7 @@ class Tables:
     history: FloatArray  # (N, up to HISTORY, w) x_W of the last periods, over its scale
     age: NDArray[np.intp]  # (N,) how many of them are of the present episode
     renewed: NDArray[np.bool_]  # (N,) whether the design was made anew at this instant
+    since: NDArray[np.intp]  # (N,) periods since a renewal
 
 
 def _followed(tables: Tables, n: int) -> FloatArray:

@@ -103,7 +103,12 @@ class PlantBatch:
     @property
     def plants(self) -> list[Scenario]:
         """The true scenario of each lane, made when asked for."""
-        return [self.scenario.with_plant(each) if each else self.scenario for each in self._values]
+        return [self.plant(lane) for lane in range(len(self._values))]
+
+    def plant(self, lane: int) -> Scenario:
+        """Return the true scenario of a lane."""
+        drawn = self._values[lane]
+        return self.scenario.with_plant(drawn) if drawn else self.scenario
 
     def sample(self, lanes: Sequence[int], streams: Sequence[np.random.Generator]) -> None:
         """Give each of `lanes` a new plant, drawn from its stream."""

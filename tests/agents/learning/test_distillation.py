@@ -1,5 +1,7 @@
 """On-policy distillation: labels of a teacher, fitted where the student drives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,11 +13,16 @@ from agents.policies.policy_file import load_policy
 from agents.scenario_options import ScenarioOptions
 from agents.training.algorithm_options import DaggerOptions
 from agents.training.config import TrainConfig
+from agents.training.model_factory import new_model
 from agents.training.run import train
+from agents.training.tables import training_tables
+from baselines.planning.ekf import model_error
+from baselines.planning.model import PlanningModel
 from baselines.registry import make_baseline
 from shake_env import make_scenario
 from shake_env.errors import ParameterError
 from shake_env.rollout import noise_earthquakes, rollout
+from shake_env.scenario.uncertainty import Uncertainty
 
 
 def model_of(kind, teacher="lqg-dac", duration=1.0, **options):
@@ -59,6 +66,31 @@ def test_a_student_comes_near_its_teacher_where_it_drives_itself(kind):
             errors.append(mean.numpy() - last.correction[t])
     assert np.std(errors) < 0.5 * np.std(last.correction)
     assert not np.array_equal(first.shown[50], last.shown[50])
+
+
+def test_an_informed_teacher_is_told_the_plant_of_each_table():
+    """Also those that are drawn while the others go on."""
+    config = TrainConfig(
+        algorithm="dagger",
+        dagger=DaggerOptions(teacher="nmpc-informed", n_envs=3),
+        scenario=ScenarioOptions("field"),
+        episode_duration=0.5,
+    )
+    env = training_tables(config, config.scenario.build())
+    told = new_model(config, config.scenario.build(), env).teacher
+    shown = env.reset()[:, : env.scenario.observation.size]
+    _, state = told.predict(shown, None, np.ones(3, dtype=bool))
+    first = state[0].tables.models[0].copy()
+    begun = np.array([False, True, False])
+    env.simulation.plant_batch.sample([1], [np.random.default_rng(5)])
+    _, state = told.predict(shown, state, begun)
+    for n, plant in enumerate(env.simulation.plant_batch.plants):
+        own = PlanningModel.of(replace(plant, uncertainty=Uncertainty()), model_error(env.scenario, 0.1))
+        np.testing.assert_array_equal(state[0].tables.models[0][n], own.arrays[0][0])
+    assert not np.array_equal(state[0].tables.models[0][1], first[1])
+    with pytest.raises(ParameterError, match="draws no plant"):
+        other = replace(config, scenario=ScenarioOptions("laboratory"))
+        new_model(other, other.scenario.build(), training_tables(other, other.scenario.build()))
 
 
 def test_old_rounds_are_dropped():
