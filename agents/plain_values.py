@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import types
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+from shake_env.errors import ShakeError
 
 Value = TypeVar("Value")
 
@@ -104,3 +106,38 @@ def plain(values: dict[str, Any]) -> dict[str, Any]:
 def plain_row(row: dict[str, Any]) -> dict[str, Any]:
     """Return a row for JSON, which has no NaN: what is not defined (a still table's lag) is null."""
     return {key: None if value != value else value for key, value in row.items()}
+
+
+def of_type(hint: Any) -> Callable[[Any], Any]:
+    """Return a conversion for `entry` that takes values of a type as `typed` does."""
+    return lambda value: _typed(hint, value, "value")
+
+
+def entry(content: Mapping[str, Any], key: str, convert: Callable[[Any], Value], what: str) -> Value:
+    """Return an entry of plain JSON values, converted.
+
+    Parameters
+    ----------
+    content
+        What was read.
+    key
+        Of the entry.
+    convert
+        Of its value.
+    what
+        It must be, in words.
+
+    Raises
+    ------
+    ValueError
+        With one sentence that names the key, if it is missing or `convert` refuses its value. What is
+        raised on purpose, a ShakeError, is passed on.
+    """
+    if key not in content:
+        raise ValueError(f"the key {key!r} is missing")
+    try:
+        return convert(content[key])
+    except ShakeError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError):
+        raise ValueError(f"{key!r} must be {what}") from None

@@ -152,9 +152,9 @@ def evaluations_of_run(run: Path) -> list[tuple[int, float]]:
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, ShakeError):
             raise
-        raise RunDirectoryError(
-            "file", str(file), f"holds a row that is no evaluation ({error})"
-        ) from error
+        what = f"the key {error} is missing" if isinstance(error, KeyError) else error
+        remedy = f"holds a row that is no evaluation ({what}): restore the file, or train anew"
+        raise RunDirectoryError("file", str(file), remedy) from error
 
 
 def _object(line: bytes) -> dict[str, Any] | None:

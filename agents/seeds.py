@@ -5,6 +5,8 @@ A seed fixes the ground motion, the specimen and table drawn for it, and the noi
 
 from __future__ import annotations
 
+from shake_env.errors import ParameterError
+
 RUN_SEEDS = 100_000  # run s trains on seeds from s times that
 MOST_RUNS = 10  # runs have seeds 0 to 9, so that training stays below the next range
 EVALUATION_SEED = 1_000_000  # evaluation during training
@@ -16,3 +18,10 @@ ROBUSTNESS_SEED = 5_000_000  # `shake robustness`
 FORECAST_SEED = 7_000_000  # samples of `shake forecast`
 SHAKE_SEEDS = 10_000  # shake n of `shake sequence` is forecast with seeds from n times that on
 COVERAGE_SEED = 8_000_000  # tests that `shake calibrate --shakes` holds against their forecast
+LARGEST_SEED = 2**31 - 1  # of an option
+
+
+def require_seed(seed: int) -> None:
+    """Raise ParameterError unless a seed lies between 0 and `LARGEST_SEED`."""
+    if not 0 <= seed <= LARGEST_SEED:
+        raise ParameterError("seed", seed, f"must not be negative, and at most {LARGEST_SEED}")

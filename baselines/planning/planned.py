@@ -79,7 +79,9 @@ class RecordPlan:
                 name, digest = str(held["name"]), str(held["digest"])
                 return cls(name, digest, float(held["cost"]), **arrays)
         except (OSError, KeyError, ValueError) as error:
-            raise FileError("plan", str(file), f"is no file of shake plan: {error}") from error
+            what = f"the key {error} is missing" if isinstance(error, KeyError) else error
+            remedy = f"is no file of shake plan ({what}): write it anew by shake plan"
+            raise FileError("plan", str(file), remedy) from error
 
 
 def nominal_scenario(scenario: Scenario) -> Scenario:

@@ -10,19 +10,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from shake_env.errors import ParameterError, ScenarioError
+from shake_env.errors import ParameterError, ScenarioError, unknown
 from shake_env.model.discretization import DiscretePlant, check_directions
 from shake_env.model.nonlinearity import Nonlinearity
 from shake_env.model.parameters import Actuator, GroundFilter, ModelEquations, Specimen
 from shake_env.model.plant import REFERENCE_CURRENT, CoupledPlant
 from shake_env.model.ranges import RANGES, check, check_ranges
 from shake_env.model.resolution import check_resolution
+from shake_env.model.specimen_state import is_state_value
 from shake_env.motion.targets import FilteredNoise, Motion, MotionSet, RecordedMotion
 from shake_env.scenario.limits import Limits
 from shake_env.scenario.objective import Objective, StageCost
 from shake_env.scenario.observation import ObservationLayout, Sensing
 from shake_env.scenario.plants.samples import PlantSamples
-from shake_env.scenario.plants.values import with_specimen_values
+from shake_env.scenario.plants.values import specimen_values, with_specimen_values
 from shake_env.scenario.tables.table import DEFAULT_TABLE, TABLE_NAMES, named_table
 from shake_env.scenario.uncertainty import MASS_FACTOR, STIFFNESS_FACTOR, Uncertainty
 
@@ -42,6 +43,8 @@ _KINDS: tuple[tuple[str, type | tuple[type, ...]], ...] = (
 
 MOST_SUBSTEPS = 1000  # physics steps a control period
 UNIFORM = ("stories", "mass_ratio", "storey_frequency", "damping_ratio")  # what makes equal storeys
+
+SAMPLED = ("coulomb_friction", "delay", "yield_drift", "supply_pressure", "valve_natural_frequency")
 
 
 class TruePlant(NamedTuple):
@@ -121,8 +124,19 @@ class Scenario:
             )
         check_resolution(self.actuator, self.specimen, self.ground, self.nonlinearity, self.physics_step)
         self._check_equations()
+        self._check_samples()
         self.sensing.preview_steps(self.physics_step)
         check_directions("noise_directions", self.noise_directions)
+
+    def _check_samples(self) -> None:
+        if not isinstance(self.uncertainty, PlantSamples):
+            return
+        factors = (f"{kind}_{i}" for kind in (MASS_FACTOR, STIFFNESS_FACTOR)
+                   for i in range(1, self.specimen.stories + 1))  # fmt: skip
+        known = {*UNIFORM, *SAMPLED, *vars(self.actuator), *specimen_values(self.specimen), *factors}
+        for name in self.uncertainty.names:
+            if name not in known and not is_state_value(name):
+                raise unknown(ScenarioError, "uncertainty.posterior, parameter", name, known)
 
     def _check_equations(self) -> None:
         if self.specimen.coupled and self.nonlinearity.yielding.active:

@@ -61,6 +61,8 @@ class Calibrate(CommandOptions):
 
         if self.data_sets < 2:
             raise ParameterError("data_sets", self.data_sets, "must be at least 2")
+        if self.shakes < 0:
+            raise ParameterError("shakes", self.shakes, "must be at least 0; 0 compares none")
         scenario = ScenarioOptions(self.scenario).build()
         options: dict[str, Any] = {
             "seconds": self.seconds,

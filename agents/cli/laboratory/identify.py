@@ -16,6 +16,8 @@ from agents.reporting.terminal import print_table
 from agents.scenario_options import ScenarioOptions
 from shake_env.errors import ParameterError
 
+CONVERGED = 1.05  # R-hat up to which walkers are taken to be of one distribution
+
 
 @dataclass(frozen=True, kw_only=True)
 class Identify(FolderOptions):
@@ -58,6 +60,7 @@ class Identify(FolderOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Read, fit, sample, print, write."""
+        from agents.laboratory.identification.consistency import part_covered
         from agents.laboratory.identification.frequency_response import draw_frequency_responses
         from agents.laboratory.identification.identify import identify, model_of, read_prior
         from agents.laboratory.logs.log_file import read_log
@@ -65,8 +68,6 @@ class Identify(FolderOptions):
 
         if not self.logs:
             raise ParameterError("logs", None, "name at least one file")
-        if self.samples < 2:
-            raise ParameterError("samples", self.samples, "must be at least 2")
         mapping = None if self.mapping is None else read_mapping(self.mapping)
         logs = [read_log(file, mapping) for file in self.logs]
         given = None if self.scenario is None else ScenarioOptions(self.scenario).build()
@@ -87,6 +88,13 @@ class Identify(FolderOptions):
             )
         described = describe(result)
         print_identified(described, console)
+        described["covered"] = [
+            None if log.scenario_text is None else part_covered(log, log.scenario) for log in logs
+        ]
+        for log, covered in zip(logs, described["covered"], strict=True):
+            if covered is not None:
+                text = f"{log.name}: the log covers {covered[0]:.2f} of {covered[1]:.2f} s of its motion"
+                console.print(escape(text), style="yellow", soft_wrap=True)
         if folder is not None:
             result.posterior.write(folder / "posterior.json")
             console.print(escape(f"wrote {folder / 'posterior.json'}"))
@@ -152,6 +160,13 @@ def print_identified(described: dict[str, Any], console: Console) -> None:
     if lacking:
         text = ", ".join(f"{name} {100 * share:.1f} %" for name, share in lacking.items())
         console.print(f"The model leaves out: {text} of the response.", highlight=False, soft_wrap=True)
+    r_hats = [row["r_hat"] for row in described["parameters"] if row["r_hat"] is not None]
+    if r_hats and not max(r_hats) <= CONVERGED:
+        console.print(
+            f"The sampler has not converged (largest R-hat {max(r_hats):.2f}, above {CONVERGED:g}): "
+            "give more --sampler-seconds",
+            style="yellow", highlight=False, soft_wrap=True,
+        )  # fmt: skip
     for text in described["unidentified"]:
         console.print(
             f"Not identified by the logs: {text}", style="yellow", highlight=False, soft_wrap=True

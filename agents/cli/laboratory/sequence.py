@@ -20,6 +20,14 @@ from agents.scenario_options import ScenarioOptions
 from shake_env.errors import FileError, ParameterError
 
 
+def covered_words(covered: tuple[float, float]) -> str:
+    """Return what it means that a log holds some seconds of a motion's, in words."""
+    return (
+        f"the log covers {covered[0]:.2f} of {covered[1]:.2f} s of the motion: the belief is updated, "
+        "and the figures are not compared with the forecast, which is of the whole motion"
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class SequenceCommand(CommandOptions):
     """A sequence of shakes of rising amplitude on one specimen: plan, next, close; rehearse.
@@ -140,9 +148,11 @@ class SequenceCommand(CommandOptions):
         rows = []
         for name, value in last.measured.items():
             low, _, high = last.forecast["intervals"].get(name, (float("nan"),) * 3)
-            verdict = "inside" if last.inside.get(name) else "outside"
+            verdict = {True: "inside", False: "outside", None: "not compared"}[last.inside.get(name)]
             rows.append((name, f"{value:.4g}", f"{low:.4g} to {high:.4g}", verdict))
         print_table(console, ("figure", "measured", "forecast", ""), rows, left=(2, 3))
+        if last.covered is not None:
+            console.print(escape(covered_words(last.covered)), style="yellow", soft_wrap=True)
         for each in result.unidentified:
             console.print(f"Not identified by the log: {each}", highlight=False, soft_wrap=True)
         return self._status(console)
@@ -163,6 +173,10 @@ class SequenceCommand(CommandOptions):
             for i, each in enumerate(state["shakes"], start=1)
         ]
         print_table(console, ("shake", "amplitude", "controller", "log", "override"), rows)
+        for i, each in enumerate(state["shakes"], start=1):
+            if each["covered"] is not None:
+                text = f"Shake {i}: {covered_words(each['covered'])}"
+                console.print(escape(text), style="yellow", soft_wrap=True)
         if state["calibration"] is not None:
             share = 100.0 * state["calibration"]
             console.print(
@@ -174,8 +188,6 @@ class SequenceCommand(CommandOptions):
         from agents.laboratory.result_files import ResultFile
         from agents.laboratory.sequence.rehearsal import Rehearsal, rehearsal_summary, rehearse_sequences
 
-        if self.truths < 1:
-            raise ParameterError("truths", self.truths, "must be at least 1")
         scenario = ScenarioOptions(self.scenario).build()
         options: dict[str, Any] = {
             "seed": self.seed,

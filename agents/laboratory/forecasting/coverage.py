@@ -9,6 +9,7 @@ import numpy as np
 from agents.laboratory.forecasting.forecast import forecast
 from agents.laboratory.forecasting.quantities import UNITS
 from agents.seeds import COVERAGE_SEED, FORECAST_SEED
+from shake_env.model.parameters import FloatArray
 from shake_env.scenario.scenario import Scenario
 
 
@@ -50,8 +51,7 @@ def forecast_coverage(
     shares = {}
     for name in (*UNITS, *predicted.measured):
         belief, outcome = ({**each.values, **each.measured}[name] for each in (predicted, tested))
-        low, high = np.quantile(belief, [tail, 1.0 - tail])
-        shares[name] = float(np.mean((outcome >= low) & (outcome <= high)))
+        shares[name] = share_within(belief, outcome, tail)
     return {
         "controller": controller,
         "shakes": shakes,
@@ -60,3 +60,22 @@ def forecast_coverage(
         "coverage": shares,
         "mean": float(np.mean(list(shares.values()))),
     }
+
+
+def share_within(belief: FloatArray, outcome: FloatArray, tail: float) -> float:
+    """Return the share of outcomes (M,) within the central interval of a belief's samples (N,).
+
+    A bounded quantity has a mass at its bound: the largest current of a test is often the limit itself.
+    Where an end of the interval is that value, outcomes at it count by the part of the mass that the
+    interval of the stated probability holds (the mean of a randomised rank); counted whole, they would
+    give a coverage above it.
+    """
+    low, high = np.quantile(belief, [tail, 1.0 - tail])
+    held = ((outcome > low) & (outcome < high)).astype(float)
+    for end in {float(low), float(high)}:
+        below, upto = float(np.mean(belief < end)), float(np.mean(belief <= end))
+        part = 1.0  # a value of its own: the end is inside
+        if upto > below:
+            part = max(0.0, min(upto, 1.0 - tail) - max(below, tail)) / (upto - below)
+        held[outcome == end] = part
+    return float(np.mean(held))

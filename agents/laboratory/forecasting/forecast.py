@@ -18,7 +18,7 @@ from agents.laboratory.forecasting.coupling import Coupling, coupling
 from agents.laboratory.forecasting.quantities import UNITS, OutcomeRecorder, Outcomes, beyond_limits
 from agents.policies.own_controller import is_own_controller, own_source
 from agents.policies.registry import find_controller, get_controller
-from agents.seeds import FORECAST_SEED
+from agents.seeds import FORECAST_SEED, require_seed
 from shake_env.errors import ParameterError, ScenarioError
 from shake_env.model.parameters import FloatArray
 from shake_env.motion.targets import MotionSet
@@ -150,6 +150,7 @@ def forecast(
         If a controller does not suit the scenario, or nothing is uncertain.
     """
     check_forecast(controllers, amplitudes, samples, probability)
+    require_seed(seed)
     if not scenario.uncertainty.active:
         raise ScenarioError(
             "uncertainty", "none", "name a posterior in [uncertainty.posterior], or ranges of parameters"

@@ -13,11 +13,13 @@ from scipy.stats import kstest
 from agents.evaluation.perturbations import observation_rescaling
 from agents.laboratory.identification.identify import identify
 from agents.laboratory.identification.parameters import Prior, default_prior, from_scale, plants_at
+from agents.laboratory.identification.sampler import LEAST_SAMPLES, require_sampler
 from agents.laboratory.logs.recorder import LogRecorder
 from agents.laboratory.logs.test_log import TestLog
+from agents.seeds import require_seed
 from baselines.batch_controllers import Rescaled
 from baselines.registry import make_baseline
-from shake_env.errors import ParameterError, ShakeError
+from shake_env.errors import ParameterError, ShakeError, unknown
 from shake_env.model.parameters import FloatArray
 from shake_env.motion.targets import FilteredNoise, whole_periods
 from shake_env.rollout import Earthquake, rollout
@@ -74,9 +76,11 @@ def calibrate(
     Raises
     ------
     ParameterError
-        If a log would be shorter than one control period.
+        If a number is outside its range, a log would be shorter than one control period, `without`
+        names no channel of the scenario's logs, or no data set could be identified.
     """
     whole_periods(seconds, scenario.control_period, "seconds")
+    check_calibration(data_sets, samples, amplitude, sampler_moves, seed, without, scenario)
     prior = default_prior(scenario)
     rows = [dict(row) for row in done]
     present = {row["number"] for row in rows}
@@ -105,6 +109,31 @@ def calibrate(
         on_row(rows)
         on_progress("calibration", len(rows) / data_sets)
     return calibration_summary(prior.names, rows, samples)
+
+
+def check_calibration(
+    data_sets: int,
+    samples: int,
+    amplitude: float,
+    sampler_moves: int | None,
+    seed: int,
+    without: Sequence[str],
+    scenario: Scenario,
+) -> None:
+    """Raise ParameterError where arguments of `calibrate` are none."""
+    if data_sets < 1:
+        raise ParameterError("data_sets", data_sets, "must be at least 1")
+    if samples < LEAST_SAMPLES:
+        raise ParameterError("samples", samples, f"must be at least {LEAST_SAMPLES}")
+    if not amplitude > 0.0:
+        raise ParameterError("amplitude", amplitude, "must be above 0")
+    require_sampler(0.0, sampler_moves)
+    require_seed(seed)
+    if not scenario.sensing.full_state:
+        channels = scenario.observation.reading_names
+        for name in without:
+            if name not in channels:
+                raise unknown(ParameterError, "without", name, channels)
 
 
 def calibration_summary(

@@ -5,16 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from agents.laboratory.identification.fit import Fit
+from agents.laboratory.identification.plausibility import LOUD, unit_mistake
 from agents.laboratory.identification.prediction import predict_response
-from agents.laboratory.logs.test_log import CURRENT, TARGET, TestLog
+from agents.laboratory.logs.test_log import CURRENT, TARGET, TestLog, unit_of
 from shake_env.errors import LogError
 from shake_env.model.parameters import FloatArray
-from shake_env.motion.targets import RecordedMotion, target_history
+from shake_env.motion.targets import MotionSet, RecordedMotion, control_steps, target_history
 from shake_env.scenario.scenario import Scenario
 
 CLOSE = 1e-3  # of the motion's rms: the most by which a target may differ from it
 EXPLAINED = 0.5  # share of a channel's power above its noise that the fitted model must explain
-LOUD = 2.0  # power of a channel over its noise, below which nothing is asked of it
+WHOLE = 0.98  # share of a motion's periods that a log of all of it holds at least
 ALIKE = 0.9  # correlation at which a channel is taken for another one
 
 
@@ -39,8 +40,10 @@ def require_motion(log: TestLog, scenario: Scenario) -> None:
     if error <= CLOSE**2 * max(power, 1e-300):
         return
     alike = float(np.mean(target * wanted) / np.sqrt(max(power * size, 1e-300)))
-    if alike > 0.999:
-        why = f"is this motion at {np.sqrt(size / power):.4g} times its amplitude"
+    if abs(alike) > 0.999:
+        ratio = float(np.copysign(np.sqrt(size / power), alike))
+        likely = unit_mistake(unit_of(TARGET), ratio)
+        why = f"is this motion at {ratio:.4g} times its amplitude" + (f": {likely}" if likely else "")
     else:
         why = f"is another motion (correlation {alike:.3f})"
     raise LogError(
@@ -48,15 +51,36 @@ def require_motion(log: TestLog, scenario: Scenario) -> None:
     )
 
 
+def part_covered(log: TestLog, scenario: Scenario) -> tuple[float, float] | None:
+    """Return the seconds that a log holds of its motion, and those of the motion; None: all of them.
+
+    A test that was stopped is a log as any other; what is said of the whole motion does not hold for it.
+    """
+    motion = scenario.motion
+    if isinstance(motion, MotionSet):
+        return None
+    periods = control_steps(motion, scenario.control_period, scenario.physics_step)
+    if log.samples >= WHOLE * periods:
+        return None
+    return log.duration, periods * scenario.control_period
+
+
 def require_explained(fit: Fit) -> None:
-    """Raise LogError where the fitted model does not explain a channel, and say which it looks like."""
+    """Raise LogError where the fitted model does not explain a channel, and say which it looks like.
+
+    Nothing is asked of a channel that is near its sensor's noise in the log and in the model. One that
+    is quiet in the log only must explain what the model predicts.
+    """
     for each, errors in zip(fit.likelihood.data, fit.likelihood.errors(fit.mode[None]), strict=True):
         noise = each.variance * len(each.coefficients)
         power, left = np.sum(each.coefficients**2, axis=0), np.sum(errors[0] ** 2, axis=0)
+        predicted = np.sum((each.coefficients - errors[0]) ** 2, axis=0)
+        heard = power > LOUD * noise
         # Of what stands above the sensor's noise, where enough does.
-        above, lost = np.maximum(power - noise, 1e-300), np.maximum(left - noise, 0.0)
+        above = np.maximum(np.where(heard, power - noise, predicted), 1e-300)
+        lost = np.maximum(left - noise, 0.0)
         shares = dict(zip(each.channels, (1.0 - lost / above).tolist(), strict=True))
-        loud = dict(zip(each.channels, (power > LOUD * noise).tolist(), strict=True))
+        loud = dict(zip(each.channels, (heard | (predicted > LOUD * noise)).tolist(), strict=True))
         poor = [name for name, share in shares.items() if loud[name] and share < EXPLAINED]
         if not poor:
             continue
@@ -72,7 +96,11 @@ def require_explained(fit: Fit) -> None:
                 words.append(f"{name} looks like {best} (correlation {max(like):.2f})")
             else:
                 share = 100.0 * max(shares[name], 0.0)
-                words.append(f"of {name} the model explains {share:.0f} % of the power")
+                size = np.std(measured) / max(np.std(readings[:, each.channels.index(name)]), 1e-300)
+                words.append(
+                    f"of {name} the model explains {share:.0f} % of the power "
+                    f"(the log's rms is {size:.3g} times the model's)"
+                )
         remedy = (
             "the log is of another table, or its channels are shuffled or scaled wrongly: "
             "check them, or leave them out by --without"

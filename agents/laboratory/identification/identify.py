@@ -16,10 +16,17 @@ from agents.laboratory.identification.consistency import require_explained
 from agents.laboratory.identification.fit import Fit, fit
 from agents.laboratory.identification.identifiability import Unidentified, unidentified
 from agents.laboratory.identification.likelihood import Likelihood, LogData
-from agents.laboratory.identification.parameters import LINEAR, Prior, default_prior, find_parameter
+from agents.laboratory.identification.parameters import (
+    LINEAR,
+    Prior,
+    default_prior,
+    require_parameter,
+)
+from agents.laboratory.identification.plausibility import require_plausible, require_possible_command
 from agents.laboratory.identification.posterior import Posterior, read_posterior
-from agents.laboratory.identification.sampler import sample_posterior
+from agents.laboratory.identification.sampler import LEAST_SAMPLES, require_sampler, sample_posterior
 from agents.laboratory.logs.test_log import CURRENT, TestLog, require_same_test
+from agents.seeds import require_seed
 from shake_env.errors import LogError, ParameterError, unknown
 from shake_env.files import no_file
 from shake_env.scenario.quantities import QuantityError, to_si
@@ -83,11 +90,16 @@ def identify(
         If a log is of another rate or table, or given twice, a channel has a fault, or the model
         explains a channel not at all.
     ParameterError
-        If `sampler_seconds` is negative, or as `LogData.from_log` says.
+        If a number is outside its range, the prior names no parameter of the scenario, or as
+        `LogData.from_log` says.
     """
     prior = default_prior(scenario) if prior is None else prior
-    if not sampler_seconds >= 0.0:
-        raise ParameterError("sampler_seconds", sampler_seconds, "must be at least 0")
+    for name in prior.names:
+        require_parameter(name, scenario)
+    if samples < LEAST_SAMPLES:
+        raise ParameterError("samples", samples, f"must be at least {LEAST_SAMPLES}")
+    require_seed(seed)
+    require_sampler(sampler_seconds, sampler_moves)
     data = [LogData.from_log(log, scenario, without, band) for log in logs]
     if not data:
         raise LogError("logs", 0, "give at least one")
@@ -95,9 +107,15 @@ def identify(
     twice = [log.name for i, log in enumerate(logs) if log.sha256 in digests[:i]]
     if twice:
         raise LogError(twice[0], "given twice", "a log counts once: leave one of them out")
+    for log in logs:
+        require_possible_command(log, scenario)
     plain = replace(scenario, uncertainty=type(Scenario().uncertainty)())
+    likelihood = Likelihood.from_data(
+        plain, prior.names, data, [log.channels[CURRENT] for log in earlier]
+    )
+    require_plausible(likelihood, prior, seed)
     result = fit(
-        Likelihood.from_data(plain, prior.names, data, [log.channels[CURRENT] for log in earlier]),
+        likelihood,
         prior,
         discrepancy=discrepancy,
         seed=seed,
@@ -173,7 +191,10 @@ def read_prior(file: str | os.PathLike[str], scenario: Scenario) -> Prior:
     """
     file = Path(file)
     if file.suffix == ".json":
-        return read_posterior(file).prior()
+        posterior = read_posterior(file)
+        for name in posterior.names:
+            require_parameter(name, scenario)
+        return posterior.prior()
     if not file.is_file():
         raise ParameterError("prior", str(file), no_file(file))
     try:
@@ -184,13 +205,13 @@ def read_prior(file: str | os.PathLike[str], scenario: Scenario) -> Prior:
     if names is not None and not (isinstance(names, list) and all(isinstance(n, str) for n in names)):
         raise ParameterError(f"{file}, parameters", names, "must be a list of names")
     for name in names or ():
-        find_parameter(name)
+        require_parameter(name, scenario)
     given = {name: _given(name, entry, f"{file}, {name}", scenario) for name, entry in content.items()}
     return default_prior(scenario, names, given)
 
 
 def _given(name: str, entry: Any, place: str, scenario: Scenario) -> tuple[float, float]:
-    unit = find_parameter(name).unit
+    unit = require_parameter(name, scenario).unit
     middle, width = ("mean", "deviation") if name in LINEAR else ("median", "factor")
     if not isinstance(entry, dict) or middle not in entry or width not in entry:
         raise ParameterError(place, entry, f"must be a table with {middle} and {width}")

@@ -77,10 +77,27 @@ def find_parameter(name: str) -> Parameter:
         If there is none of that name.
     """
     known = {**_TABLE, **_SPECIMEN}
-    base = STIFFNESS if name.startswith(f"{STIFFNESS}_") else name
-    if base not in known:
+    if _base(name) not in known:
         raise unknown(ParameterError, "parameter", name, known)
-    return known[base]
+    return known[_base(name)]
+
+
+def require_parameter(name: str, scenario: Scenario) -> Parameter:
+    """Return a parameter of a scenario's plant by its name.
+
+    Raises
+    ------
+    ParameterError
+        If the plant has none of that name.
+    """
+    known = [each for each in nominal_values(scenario) if _base(each) in {**_TABLE, **_SPECIMEN}]
+    if name not in known:
+        raise unknown(ParameterError, "parameter", name, known)
+    return find_parameter(name)
+
+
+def _base(name: str) -> str:
+    return STIFFNESS if name.startswith(f"{STIFFNESS}_") else name
 
 
 def parameter_names(scenario: Scenario) -> tuple[str, ...]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from agents.laboratory.identification.fit import Fit
-from agents.laboratory.identification.parameters import LINEAR, Prior, from_scale
-from agents.laboratory.logs.test_log import scenario_of_text, text_of_scenario
+from agents.laboratory.identification.parameters import LINEAR, Prior, from_scale, require_parameter
+from agents.laboratory.logs.test_log import scenario_of_text, text_of_scenario, unit_of
+from agents.plain_values import entry, of_type
 from shake_env.errors import FileError, ShakeError
 from shake_env.files import write_text
 from shake_env.model.parameters import FloatArray
@@ -25,6 +27,7 @@ from shake_env.scenario.scenario import Scenario
 WIDEST = (
     1e-9  # added to a covariance of samples, of a squared prior deviation, so that it has an inverse
 )
+RESTORE = "restore the file from a copy, or write it anew by shake identify or shake sequence"
 
 
 @dataclass(frozen=True)
@@ -142,34 +145,77 @@ def read_posterior(file: str | os.PathLike[str]) -> Posterior:
     file = Path(file)
     content = read_posterior_file(file)
     try:
-        scenario = scenario_of_text(json.dumps(content["scenario"]))
-        columns = content["names"]
+        scenario = entry(
+            content, "scenario", lambda value: scenario_of_text(json.dumps(value)), "a scenario"
+        )
+        columns: list[str] = content["names"]
         names = tuple(name for name in columns if not is_state_value(name))
-        samples = np.array(content["samples"], dtype=float)
+        for name in names:
+            require_parameter(name, scenario)
+        if len(set(columns)) < len(columns) or not names:
+            raise ValueError("'names' must hold each parameter once, one at least")
+        samples = entry(content, "samples", _table(len(columns)), f"rows of {len(columns)} numbers")
         states = _states(columns, samples, scenario.specimen.stories)
         samples = samples[:, [columns.index(name) for name in names]]
+        for name, column in zip(names, samples.T, strict=True):
+            if not np.isfinite(column).all() or not (name in LINEAR or (column > 0.0).all()):
+                raise ValueError(f"the samples of {name!r} must be finite, and above 0")
         points = np.where([n in LINEAR for n in names], samples, np.log(np.maximum(samples, 1e-300)))
+        each = _numbers(len(names))
+        text = f"null or {len(names)} numbers"
         posterior = Posterior(
             scenario=scenario,
             names=names,
             points=points,
-            method=str(content["method"]),
-            seed=int(content["seed"]),
-            logs=tuple((str(a), str(b)) for a, b in content["logs"]),
-            shares=tuple((str(k), float(v)) for k, v in content["shares"].items()),
+            method=entry(content, "method", of_type(str), "a text"),
+            seed=entry(content, "seed", of_type(int), "a whole number"),
+            logs=entry(
+                content, "logs", lambda rows: tuple((str(a), str(b)) for a, b in rows),
+                "pairs of name and digest",
+            ),
+            shares=entry(content, "shares", _shares, "numbers of at least 0 by channel"),
             states=states,
-            r_hat=_numbers(content.get("r_hat")),
-            effective=_numbers(content.get("effective")),
-        )
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-        if isinstance(error, ShakeError):
-            raise FileError(f"{file}, {error.field}", error.value, error.remedy) from None
-        raise FileError("posterior", str(file), f"is damaged ({type(error).__name__})") from None
-    if posterior.points.shape[1:] != (len(names),) or not np.isfinite(posterior.points).all():
-        raise FileError(f"{file}, samples", posterior.points.shape, f"need {len(names)} finite numbers")
+            r_hat=entry({"r_hat": None, **content}, "r_hat", each, text),
+            effective=entry({"effective": None, **content}, "effective", each, text),
+        )  # fmt: skip
+    except ShakeError as error:
+        raise FileError(f"{file}, {error.field}", error.value, f"{error.remedy}; {RESTORE}") from None
+    except ValueError as error:
+        raise FileError("posterior", str(file), f"is damaged: {error}; {RESTORE}") from None
     if content.get("digest") != scenario_digest(scenario):
-        raise FileError(f"{file}, digest", content.get("digest"), "is not that of its scenario")
+        remedy = f"is not that of its scenario: the file was edited; {RESTORE}"
+        raise FileError(f"{file}, digest", content.get("digest"), remedy)
     return posterior
+
+
+def _table(width: int) -> Callable[[list[list[float]]], FloatArray]:
+    def convert(rows: list[list[float]]) -> FloatArray:
+        table = np.array(rows, dtype=float)
+        if table.ndim != 2 or table.shape[1] != width or not len(table):
+            raise ValueError
+        return table
+
+    return convert
+
+
+def _numbers(length: int) -> Callable[[Any], tuple[float, ...] | None]:
+    def convert(values: Any) -> tuple[float, ...] | None:
+        if values is None:
+            return None
+        if len(values) != length:
+            raise ValueError
+        return tuple(float(value) for value in values)
+
+    return convert
+
+
+def _shares(values: dict[str, Any]) -> tuple[tuple[str, float], ...]:
+    shares = tuple((str(key), float(value)) for key, value in values.items())
+    if not all(0.0 <= share < math.inf for _, share in shares):
+        raise ValueError
+    for name, _ in shares:
+        unit_of(name)
+    return shares
 
 
 def _states(columns: list[str], samples: FloatArray, stories: int) -> tuple[SpecimenState, ...]:
@@ -179,7 +225,3 @@ def _states(columns: list[str], samples: FloatArray, stories: int) -> tuple[Spec
     rows = (dict(zip(columns, row, strict=True)) for row in samples.tolist())
     states = (SpecimenState.from_values(row, stories) for row in rows)
     return tuple(state for state in states if state is not None)
-
-
-def _numbers(values: Sequence[float] | None) -> tuple[float, ...] | None:
-    return None if values is None else tuple(float(value) for value in values)

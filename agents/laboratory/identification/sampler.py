@@ -19,6 +19,7 @@ from agents.laboratory.identification.fit import Fit
 from agents.laboratory.identification.laplace import Density, Laplace
 from agents.laboratory.identification.posterior import Posterior
 from agents.laboratory.logs.hdf5_file import import_library
+from shake_env.errors import ParameterError
 from shake_env.model.parameters import FloatArray
 
 WALKERS_A_PARAMETER = 4
@@ -27,7 +28,17 @@ INDEPENDENT = 0.7  # share of the moves
 DRAWS = 4  # of the normal posterior for each walker, of which one is taken
 FIRST = 0.2  # of the time, whose samples are left out
 LEAST, MOST = 20, 5000  # moves of each walker
+LONGEST = 7 * 86400.0  # [s]
+LEAST_SAMPLES = 2  # of a posterior, whose covariance is the next prior's
 WIDER = 1.5  # of the normal posterior's deviations, that the walkers' first draws are taken from
+
+
+def require_sampler(seconds: float, moves: int | None) -> None:
+    """Raise ParameterError where a time [s] or a number of moves is outside its range."""
+    if not 0.0 <= seconds <= LONGEST:
+        raise ParameterError("sampler_seconds", seconds, f"must be at least 0, at most {LONGEST:g}")
+    if moves is not None and not LEAST <= moves <= MOST:
+        raise ParameterError("sampler_moves", moves, f"must be {LEAST} to {MOST}")
 
 
 def sample_posterior(
@@ -61,7 +72,10 @@ def sample_posterior(
     ------
     LogError
         If emcee or arviz-stats is missing.
+    ParameterError
+        If `seconds` or `moves` is outside its range.
     """
+    require_sampler(seconds, moves)
     emcee, statistics = import_library("emcee"), import_library("arviz_stats.base")
     begun, p = time.perf_counter(), len(fit.names)
     walkers = max(2 * p + 2, WALKERS_A_PARAMETER * p)
@@ -80,7 +94,7 @@ def sample_posterior(
         ],
     )
     ensemble._random = np.random.RandomState(int(stream.integers(2**31)))
-    count, done = moves or MOST, 0
+    count, done = MOST if moves is None else moves, 0
     for _ in ensemble.sample(start, iterations=count, skip_initial_state_check=True):
         done += 1
         spent = (time.perf_counter() - begun) / seconds if moves is None else done / count

@@ -180,16 +180,15 @@ def scenario_of_text(text: str) -> Scenario:
     """
     try:
         content: Any = json.loads(text)
-        fields = content["fields"]
-        if not isinstance(fields, dict):
-            raise TypeError("fields is no object")
-        return scenario_of(fields)
+        if not isinstance(content, dict) or not isinstance(content.get("fields"), dict):
+            raise TypeError("the key 'fields' is missing or no object")
+        return scenario_of(content["fields"])
     except ShakeError as error:
         raise LogError(f"scenario, {error.field}", error.value, error.remedy) from None
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise LogError(
-            "scenario", type(error).__name__, "is no scenario that this program wrote"
-        ) from None
+        what = f"the key {error} is missing" if isinstance(error, KeyError) else str(error)[:200]
+        remedy = "is no scenario that this program wrote: take the file from a copy, or write it anew"
+        raise LogError("scenario", what, remedy) from None
 
 
 SAME = (

@@ -13,6 +13,7 @@ import numpy as np
 
 from agents.evaluation.perturbations import observation_rescaling
 from agents.execution.units import Unit, UnitRunner, report
+from agents.laboratory.forecasting.forecast import check_forecast
 from agents.laboratory.forecasting.quantities import OutcomeRecorder, Outcomes
 from agents.laboratory.identification.parameters import default_prior, plants_at
 from agents.laboratory.logs.recorder import LogRecorder
@@ -22,10 +23,11 @@ from agents.laboratory.sequence.steps import close_shake, designed_on, next_shak
 from agents.plain_values import typed
 from agents.policies.own_controller import is_own_controller, own_source
 from agents.policies.registry import get_controller
+from agents.seeds import require_seed
 from baselines.batch_controllers import Rescaled
 from baselines.iterative.transfer_function_iteration import transfer_function_iteration
 from shake_env.controller import Controller
-from shake_env.errors import ShakeError
+from shake_env.errors import ParameterError, ShakeError
 from shake_env.model.parameters import FloatArray, Specimen
 from shake_env.model.specimen_state import NEW, SpecimenState
 from shake_env.model.specimens import specimen_from_matrices
@@ -34,6 +36,7 @@ from shake_env.safety.supervisor import Supervised
 from shake_env.scenario.plants.values import specimen_names
 from shake_env.scenario.scenario import UNIFORM, Scenario
 from shake_env.scenario.uncertainty import Uncertainty
+from shake_env.sequence_env import rising_amplitudes
 from shake_env.simulation.engine import BoolArray, StepResult
 from shake_env.simulation.simulation import Simulation
 
@@ -151,7 +154,18 @@ def rehearse_sequences(
         Told all rehearsals after each, or, where an executor runs them, at the end.
     on_progress
         Told the share of all shakes done.
+
+    Raises
+    ------
+    ParameterError
+        If `truths` is below 1 or the seed negative, or as `plan_sequence` says.
+    ScenarioError
+        If a controller is unknown.
     """
+    if truths < 1:
+        raise ParameterError("truths", truths, "must be at least 1")
+    require_seed(seed)
+    check_forecast(controllers, rising_amplitudes(amplitudes), samples, 0.9)
     own = [own_source(name) if is_own_controller(name) else None for name in controllers]
     options = (tuple(amplitudes), tuple(controllers), samples, seed, discrepancy, wider)
     rehearsals = list(done)
@@ -388,6 +402,7 @@ def state_of(sequence: Sequence) -> dict[str, Any]:
                 "log": None if shake.log is None else shake.log[0],
                 "inside": shake.inside,
                 "damage": shake.damage,
+                "covered": shake.covered,
             }
             for shake in sequence.shakes
         ],

@@ -16,13 +16,14 @@ from typing import Any
 from agents.laboratory.identification.posterior import Posterior, read_posterior
 from agents.laboratory.logs.log_file import read_log
 from agents.laboratory.logs.test_log import TestLog, scenario_of_text, text_of_scenario
-from agents.plain_values import typed
+from agents.plain_values import entry, of_type, typed
 from shake_env.errors import FileError, ParameterError, ShakeError
 from shake_env.files import no_file, write_json
 from shake_env.scenario.scenario import Scenario
 
 FORMAT, VERSION = "shake_env sequence", 1
 FILE = "sequence.json"
+RESTORE = "restore the file from a copy, or begin anew with shake sequence plan in another folder"
 
 
 @dataclass(frozen=True)
@@ -35,10 +36,13 @@ class Shake:
     override: str | None = None  # reason why an unsafe shake is made all the same
     log: tuple[str, str] | None = None  # name and digest of the log that closed it
     measured: Mapping[str, float] | None = None  # rms and peak of each channel
-    inside: Mapping[str, bool] | None = None  # whether each lies within its interval
+    # whether each lies within its interval; none where the log does not hold the whole motion
+    inside: Mapping[str, bool] | None = None
     # damage after it: low end, median and high end of the belief in each value of `SpecimenState` and in
     # each storey's remaining drift, SI
     damage: Mapping[str, Any] | None = None
+    # seconds that its log holds, and of its motion, where the log ends before it; None: it is whole
+    covered: tuple[float, float] | None = None
 
     @property
     def closed(self) -> bool:
@@ -137,30 +141,41 @@ def read_sequence(folder: str | os.PathLike[str]) -> Sequence:
         raise FileError("sequence", str(path), f"{no_file(path)}: begin with shake sequence plan")
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        if content["format"] != FORMAT or content["version"] != VERSION:
-            raise FileError("sequence", str(path), "is no sequence of this version")
-        shakes = [typed(Shake, entry, f"shake {i}") for i, entry in enumerate(content["shakes"], 1)]
+        if not isinstance(content, dict):
+            raise ValueError("the whole must be a JSON object")
+        if entry(content, "format", of_type(str), "a text") != FORMAT:
+            raise ValueError(f"'format' must be {FORMAT!r}")
+        if entry(content, "version", of_type(int), "a whole number") != VERSION:
+            raise FileError(
+                f"{path}, version", content["version"], f"must be {VERSION}: use that version's program"
+            )
+        shakes = [
+            typed(Shake, each, f"shake {i}")
+            for i, each in enumerate(entry(content, "shakes", of_type(list[Any]), "a list"), 1)
+        ]
         for shake in shakes:
             _require_intervals(shake.forecast)
         return Sequence(
             folder=folder,
-            scenario=scenario_of_text(json.dumps(content["scenario"])),
-            controllers=tuple(content["controllers"]),
-            required_probability=float(content["required_probability"]),
-            probability=float(content["probability"]),
-            samples=int(content["samples"]),
-            seed=int(content["seed"]),
+            scenario=entry(
+                content, "scenario", lambda value: scenario_of_text(json.dumps(value)), "a scenario"
+            ),
+            controllers=entry(content, "controllers", of_type(tuple[str, ...]), "a list of names"),
+            required_probability=entry(content, "required_probability", of_type(float), "a number"),
+            probability=entry(content, "probability", of_type(float), "a number"),
+            samples=entry(content, "samples", of_type(int), "a whole number"),
+            seed=entry(content, "seed", of_type(int), "a whole number"),
             shakes=tuple(shakes),
         )
     except OSError as error:
         raise FileError("sequence", str(path), f"cannot be read ({error.strerror})") from None
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        if isinstance(error, ShakeError):
-            raise
-        text = str(error) if type(error) is ValueError else type(error).__name__
-        raise FileError(
-            "sequence", str(path), f"is damaged ({text}): restore it, or begin anew"
-        ) from None
+    except FileError:
+        raise
+    except ShakeError as error:
+        raise FileError(f"{path}, {error.field}", error.value, f"{error.remedy}; {RESTORE}") from None
+    except (ValueError, RecursionError) as error:
+        text = "nested too deeply" if isinstance(error, RecursionError) else error
+        raise FileError("sequence", str(path), f"is damaged: {text}; {RESTORE}") from None
 
 
 def _require_intervals(forecast: Mapping[str, Any] | None) -> None:
@@ -171,5 +186,9 @@ def _require_intervals(forecast: Mapping[str, Any] | None) -> None:
     if not isinstance(intervals, Mapping):
         raise ValueError("a forecast holds no intervals")
     for name, interval in intervals.items():
-        if len(interval) != 3 or not all(isinstance(each, int | float) for each in interval):
+        if (
+            not isinstance(interval, list)
+            or len(interval) != 3
+            or not all(isinstance(each, int | float) for each in interval)
+        ):
             raise ValueError(f"the interval of {name} is not three numbers")

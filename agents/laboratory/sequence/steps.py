@@ -13,15 +13,20 @@ import numpy as np
 from agents.execution.units import UnitRunner
 from agents.laboratory.forecasting.forecast import Forecast, advice, check_forecast, forecast
 from agents.laboratory.forecasting.page import forecast_to_json, write_page
-from agents.laboratory.identification.consistency import require_motion
+from agents.laboratory.identification.consistency import part_covered, require_motion
 from agents.laboratory.identification.damage import damage_after
 from agents.laboratory.identification.identify import Identified, identify, require_same_table
-from agents.laboratory.identification.parameters import Prior, default_prior, plants_at
+from agents.laboratory.identification.parameters import (
+    Prior,
+    default_prior,
+    plants_at,
+    require_parameter,
+)
 from agents.laboratory.identification.posterior import Posterior
 from agents.laboratory.logs.log_file import write_log
 from agents.laboratory.logs.test_log import TestLog
 from agents.laboratory.sequence.state import Sequence, Shake
-from agents.seeds import FORECAST_SEED, SHAKE_SEEDS
+from agents.seeds import FORECAST_SEED, SHAKE_SEEDS, require_seed
 from shake_env.errors import LogError, ParameterError
 from shake_env.model.parameters import FloatArray
 from shake_env.model.specimen_state import SLIP
@@ -33,6 +38,7 @@ from shake_env.scenario.uncertainty import Uncertainty
 from shake_env.sequence_env import AMPLITUDES, rising_amplitudes
 
 Progress = Callable[[str, float], None]
+ROUNDS = 100  # of draws of a prior, of which as many as are asked for must be possible
 
 
 def no_progress(what: str, share: float) -> None:
@@ -79,8 +85,9 @@ def plan_sequence(
     amplitudes = rising_amplitudes(amplitudes)
     if not 0.0 < required_probability < 1.0:
         raise ParameterError("required_probability", required_probability, "must lie between 0 and 1")
-    if seed < 0:
-        raise ParameterError("seed", seed, "must not be negative")
+    require_seed(seed)
+    for name in prior.names if prior is not None else ():
+        require_parameter(name, scenario)
     check_forecast(controllers, amplitudes, samples, probability)
     if isinstance(scenario.motion, MotionSet):
         raise ParameterError("motion", "a set", "a sequence repeats one motion: name it")
@@ -196,6 +203,9 @@ def close_shake(
 ) -> tuple[Sequence, Identified]:
     """Hold the next shake's forecast against its log, update the belief, and write both.
 
+    A log that ends before its motion (`part_covered`) updates the belief; its figures are not held
+    against the forecast, and do not count in the calibration.
+
     Parameters
     ----------
     sequence
@@ -225,7 +235,9 @@ def close_shake(
     require_motion(log, model)
     left_out = {f"{name}_{figure}" for name in without for figure in ("rms", "peak")}
     measured = {name: value for name, value in measured_figures(log).items() if name not in left_out}
-    intervals = shake.forecast["intervals"]
+    # The forecast is of the whole motion: figures of a part of it are neither inside nor outside.
+    covered = part_covered(log, model)
+    intervals = {} if covered else shake.forecast["intervals"]
     inside = {
         name: bool(intervals[name][0] <= value <= intervals[name][2])
         for name, value in measured.items()
@@ -254,7 +266,11 @@ def close_shake(
     write_log(log, sequence.shake_folder(number + 1) / "log.h5")
     posterior.write(sequence.posterior_file(number + 1))
     sequence = sequence.with_next(
-        log=(log.name, log.sha256), measured=measured, inside=inside, damage=damage
+        log=(log.name, log.sha256),
+        measured=measured,
+        inside=inside,
+        damage=damage,
+        covered=covered,
     )
     sequence.write()
     return sequence, replace(result, posterior=posterior)
@@ -300,8 +316,15 @@ def _possible(scenario: Scenario, prior: Prior, number: int, seed: int) -> Float
     """Return draws (number, p) of a prior that the model can be."""
     stream = np.random.default_rng(seed)
     points = np.zeros((0, len(prior.names)))
-    while len(points) < number:
+    for _ in range(ROUNDS):
         draws = prior.draw(number, stream)
         possible = [table is not None for table in plants_at(scenario, prior.names, draws)]
         points = np.concatenate([points, draws[possible]])
-    return points[:number]
+        if len(points) >= number:
+            return points[:number]
+    raise ParameterError(
+        "prior",
+        prior.names,
+        f"only {len(points)} of {ROUNDS * number} draws are a plant that the model can be: narrow it, "
+        "or shorten the physics step",
+    )

@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from made_logs import noise
 from rich.console import Console
+from small_sequence import begun, laboratory_test
 
 from agents.cli.commands import parse
 from agents.laboratory.identification import calibration
@@ -28,22 +28,6 @@ from shake_env.scenario.overrides import make_scenario
 from shake_env.scenario.scenario_file import read_scenario
 from shake_env.simulation.simulation import Simulation
 from shake_env.simulation.streams import earthquake_stream
-
-
-def laboratory_test(seconds=3.0):
-    fields = {
-        "uncertainty.mass_ratio": [0.4, 0.6],
-        "uncertainty.storey_frequency": [6.5, 7.5],
-        "uncertainty.coulomb_friction": [120.0, 180.0],
-    }
-    scenario = make_scenario("laboratory", {"fields": fields})
-    return replace(scenario, motion=noise(seconds, 0.22))
-
-
-def begun(folder):
-    return plan_sequence(
-        folder, laboratory_test(), amplitudes=(0.5, 1.0), samples=12, required_probability=0.2
-    )
 
 
 def test_a_sequence_goes_from_plan_to_last_shake(tmp_path):
