@@ -33,7 +33,8 @@ from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import Scenario
 
 ORACLE = "oracle"  # a full-state law for the true plants, see `baselines.lqr.oracle`
-SHIPPED = ("ppo", "apg", "dagger", "sac")  # algorithms whose policies come with the package
+# Policies that come with the package, by algorithm; dagger-apg is dagger's continued by gradients.
+SHIPPED = ("ppo", "apg", "dagger", "dagger-apg", "sac")
 
 
 @dataclass(frozen=True)

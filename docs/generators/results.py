@@ -11,7 +11,7 @@ from generators.markdown import table
 from shake_env import SCENARIO_NAMES
 from shake_env.scenario.tables import TABLE_NAMES
 
-HEADLINE = ("lqg-searched", "nmpc", "ppo", "apg", "dagger")  # in the README
+HEADLINE = ("lqg-searched", "nmpc", "ppo", "apg", "dagger", "dagger-apg")  # in the README
 PLANNED_SCENARIOS = ("laboratory", "yielding", "unknown-specimen", "records")
 PLANNERS = ("nmpc", "nmpc-adaptive", "planned")
 
