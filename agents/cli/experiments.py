@@ -90,7 +90,7 @@ class RunExperiments(CommandOptions):
     def _evaluate(
         self, tasks: list[Any], failures: dict[str, str], runner: UnitRunner, console: Console
     ) -> list[str]:
-        from agents.experiments.catalogue import EVALUATION_TASKS
+        from agents.experiments.evaluation_tasks import EVALUATION_TASKS
         from agents.experiments.results import evaluate_task
 
         trained = {run.experiment.evaluation_task for run in tasks}

@@ -1,4 +1,4 @@
-"""The experiments: a training configuration for each scenario and algorithm, and how it is evaluated.
+"""The experiments: a training configuration for each scenario and algorithm.
 
 An experiment is the algorithm's defaults (see `config`) with as few deviations as its scenario needs,
 each with its reason. Minutes are for planning: one process on one core, from the rate of its first
@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from agents.scenario_options import ScenarioOptions
+from agents.experiments.evaluation_tasks import EVALUATION_TASKS
 from agents.seeds import MOST_RUNS
 from agents.training.algorithm_options import (
     APGOptions,
@@ -23,18 +23,6 @@ from agents.training.algorithm_options import (
 )
 from agents.training.config import TrainConfig
 from shake_env.errors import ParameterError
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvaluationTask:
-    """Something to be tested on: a scenario, how often, and the controllers beside the policies."""
-
-    name: str
-    options: ScenarioOptions
-    baselines: tuple[str, ...]  # controllers with the same information, beside the reference
-    earthquakes: int = 200
-    fidelity: bool = True  # whether response spectrum, drift and energy are compared: most of the time
-    trained_on: str | None = None  # task whose policies it takes; None: its own
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,66 +52,6 @@ class ExperimentConfig:
         if not 0 <= seed < MOST_RUNS:
             raise ParameterError("seed", seed, f"a campaign has seeds 0 to {MOST_RUNS - 1}")
         return replace(self.config, seed=seed)
-
-
-# The nonlinear plan is the strongest classical controller: learned policies are compared with it, too.
-LABORATORY_BASELINES = (
-    "lqg", "lqg-dac", "lqr-friction-ff", "h-infinity", "inverse-ff-tvc", "lqg-searched",
-    "lqg-searched-force", "tvc", "nmpc", "planned", "none",
-)  # fmt: skip
-FRICTION = ScenarioOptions(set=("nonlinearity.friction.coulomb=300",))
-# A step of the physics as long as a control period does not resolve how friction turns about. LQR then
-# loses a third instead of a sixth, and there is more to learn: a warning, and what coarse plants report.
-COARSE_FRICTION = replace(FRICTION, set=(*FRICTION.set, "physics_step=0.005"))
-
-# fmt: off
-EVALUATION_TASKS: tuple[EvaluationTask, ...] = (
-    EvaluationTask(name="linear", options=ScenarioOptions(), baselines=("none",)),
-    EvaluationTask(name="as-printed", options=ScenarioOptions("as-printed"), baselines=("none",)),
-    # The reference there is LQR, which does not know of the friction.
-    EvaluationTask(name="friction", options=FRICTION, baselines=("lqr-friction-ff", "nmpc", "none")),
-    EvaluationTask(
-        name="friction-coarse",
-        options=COARSE_FRICTION,
-        baselines=("lqr-friction-ff", "none"),
-        earthquakes=50,  # the bound of each takes five seconds
-    ),
-    EvaluationTask(
-        name="laboratory", options=ScenarioOptions("laboratory"), baselines=LABORATORY_BASELINES
-    ),
-    EvaluationTask(
-        name="records",
-        options=ScenarioOptions("records"),
-        baselines=LABORATORY_BASELINES,
-        trained_on="laboratory",
-    ),
-    EvaluationTask(
-        name="unknown-specimen",
-        options=ScenarioOptions("unknown-specimen"),
-        baselines=(
-            "lqg", "lqg-dac", "adaptive", "multi-model", "h-infinity", "lqg-searched", "nmpc",
-            "nmpc-adaptive", "none",
-        ),
-        fidelity=False,
-    ),
-    EvaluationTask(
-        name="yielding",
-        options=ScenarioOptions("yielding"),
-        baselines=(
-            "preview-lqr", "h-infinity", "lqg-searched", "lqg-searched-force", "nmpc", "planned", "none",
-        ),
-    ),
-    EvaluationTask(
-        name="field",
-        options=ScenarioOptions("field"),
-        baselines=(
-            "lqg", "lqg-dac", "lqr-friction-ff", "lqg-searched", "nmpc", "nmpc-adaptive", "none",
-        ),
-        earthquakes=50,  # `nmpc-adaptive` takes ten seconds of each
-        fidelity=False,
-    ),
-)
-# fmt: on
 
 
 def _experiment(
@@ -256,22 +184,12 @@ def _gradients_from_imitation(
     evaluation_task: str,
     minutes: float,
     options: APGOptions,
-    steps: int,
     usual: dict[str, Any],
     soft: tuple[str, ...],
 ) -> ExperimentConfig:
-    """Return the experiment of the analytic gradient that goes on from the shipped imitation.
-
-    A policy near its teacher is improved on the cost itself, by half of the usual step.
-    """
-    config = TrainConfig(
-        algorithm="apg",
-        apg=replace(options, learning_rate=1e-4),
-        init_policy="dagger",
-        total_timesteps=steps,
-        **usual,
-    )
-    why = "goes on from `dagger` on the cost itself, by half of the step"
+    """Return the experiment of the analytic gradient that goes on from the shipped imitation."""
+    config = TrainConfig(algorithm="apg", apg=options, init_policy="dagger", **usual)
+    why = "goes on from `dagger` on the cost itself"
     return _experiment(evaluation_task, config, minutes, why, label="dagger-apg", otherwise=soft)
 
 
@@ -367,7 +285,14 @@ EXPERIMENTS: tuple[ExperimentConfig, ...] = (
     _paired("laboratory", 1.5, _WHOLE),
     _paired("laboratory", 2.0, _STROKE, "ppo-stroke"),
     _distilled("laboratory", 9.0),
-    _gradients_from_imitation("laboratory", 4.0, _correction(authority=0.03), 2_457_600, _WHOLE, _EARLY),
+    # The action moves by a share of the residual scale, a tenth of that of `apg`, at each step.
+    _gradients_from_imitation(
+        "laboratory",
+        4.0,
+        replace(_correction(authority=0.03), learning_rate=5e-4),
+        {**_WHOLE, "total_timesteps": 4_915_200, "evaluations": 8},
+        _EARLY,
+    ),
     _gradients_with_memory("unknown-specimen", 7.0),
     _paired("unknown-specimen", 3.0, _STROKE),
     _paired_with_memory("unknown-specimen"),
@@ -380,7 +305,11 @@ EXPERIMENTS: tuple[ExperimentConfig, ...] = (
         DaggerOptions(teacher="nmpc-informed", gru_hidden_size=64, residual_scale=0.1, n_envs=32),
     ),
     _gradients_from_imitation(
-        "field", 9.0, _correction(memory=64, authority=0.1), 3_072_000, _STROKE, _SOFT
+        "field",
+        12.0,
+        _correction(memory=64, authority=0.1),
+        {**_STROKE, "total_timesteps": 6_144_000, "evaluations": 10},
+        _SOFT,
     ),
     _experiment(
         "yielding",

@@ -14,7 +14,7 @@ from agents.evaluation.bound_store import search_code
 from agents.evaluation.protocol import Entry, evaluate, find_entry
 from agents.evaluation.result_files import PREFIX, read_result, write_result
 from agents.execution.units import UnitRunner
-from agents.experiments.catalogue import EvaluationTask
+from agents.experiments.evaluation_tasks import EvaluationTask
 from agents.run_directory import POLICY
 from agents.seeds import TEST_SEED
 from baselines.registry import tuned_parameters

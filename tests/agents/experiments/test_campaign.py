@@ -17,7 +17,8 @@ from agents.evaluation.protocol import evaluate, find_entry
 from agents.execution.environment import environment
 from agents.execution.local_executor import LocalExecutor
 from agents.experiments import catalogue
-from agents.experiments.catalogue import EVALUATION_TASKS, EXPERIMENTS, EvaluationTask, ExperimentConfig
+from agents.experiments.catalogue import EXPERIMENTS, ExperimentConfig
+from agents.experiments.evaluation_tasks import EVALUATION_TASKS, EvaluationTask
 from agents.experiments.results import evaluate_task
 from agents.experiments.runner import Campaign, plan_rows, plan_runs
 from agents.policies.base_law import base_law
