@@ -12,7 +12,7 @@ from shake_env import SCENARIO_NAMES
 from shake_env.scenario.tables import TABLE_NAMES
 
 HEADLINE = ("lqg-searched", "nmpc", "ppo", "apg", "dagger", "dagger-apg")  # in the README
-PLANNED_SCENARIOS = ("laboratory", "yielding", "unknown-specimen", "records")
+PLANNED_SCENARIOS = ("laboratory", "yielding", "unknown-specimen", "field", "records")
 PLANNERS = ("nmpc", "nmpc-adaptive", "planned")
 
 
