@@ -12,7 +12,7 @@ install: .venv/installed
 	touch $@
 
 demo: install
-	$(BIN)/shake compare --scenario records --controllers none tvc lqg nmpc ppo --num-noise-motions 0 \
+	$(BIN)/shake compare --scenario records --controllers none tvc lqg nmpc dagger-apg --num-noise-motions 0 \
 		--report out/demo --force
 
 test: install

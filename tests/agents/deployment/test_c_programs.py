@@ -267,7 +267,7 @@ def test_the_adaptive_controller_is_exported(scenario, masses):
 
 
 SUITED = {
-    **dict.fromkeys(("lqg", "lqg-dac", "dagger"), "laboratory"),
+    **dict.fromkeys(("lqg", "lqg-dac", "dagger", "dagger-apg"), "laboratory"),
     **dict.fromkeys(("multi-model", "adaptive"), "unknown-specimen"),
 }  # a scenario of those that linear does not suit
 
