@@ -176,7 +176,7 @@ def _distilled(
         evaluations=10,
         total_timesteps=960_000,
     )
-    why = "imitates the plan at a twentieth of its time; can start the analytic gradient"
+    why = "imitates the plan at a seventh of its time; can start the analytic gradient"
     return _experiment(evaluation_task, config, minutes, why, otherwise=_EARLY)
 
 

@@ -19,7 +19,7 @@ def design_of_plant(
     horizon: int,
     displacement_tolerance: float | None,
 ) -> Design:
-    """Return the design of a plan on `plant`.
+    """Return the design of a plan on `plant`: maps of `shown`'s observation to `nominal`'s scaled state.
 
     Parameters
     ----------

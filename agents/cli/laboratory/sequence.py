@@ -158,8 +158,7 @@ class SequenceCommand(CommandOptions):
         return self._status(console)
 
     def _status(self, console: Console) -> dict[str, Any]:
-        from agents.laboratory.sequence.rehearsal import state_of
-        from agents.laboratory.sequence.state import read_sequence
+        from agents.laboratory.sequence.state import read_sequence, state_of
 
         state = state_of(read_sequence(self.folder))
         rows = [

@@ -18,7 +18,6 @@ from agents.laboratory.forecasting.quantities import OutcomeRecorder, Outcomes
 from agents.laboratory.identification.parameters import default_prior, plants_at
 from agents.laboratory.logs.recorder import LogRecorder
 from agents.laboratory.logs.test_log import TestLog
-from agents.laboratory.sequence.state import Sequence
 from agents.laboratory.sequence.steps import close_shake, designed_on, next_shake, plan_sequence
 from agents.plain_values import typed
 from agents.policies.own_controller import is_own_controller, own_source
@@ -386,24 +385,3 @@ def rehearsal_summary(rehearsals: Items[Rehearsal]) -> dict[str, Any]:
 
 def _quantiles(values: list[float]) -> list[float] | None:
     return np.quantile(values, [0.05, 0.5, 0.95]).tolist() if values else None
-
-
-def state_of(sequence: Sequence) -> dict[str, Any]:
-    """Return a sequence for a person: each shake's amplitude, controller and what came of it."""
-    return {
-        "folder": str(sequence.folder),
-        "done": sequence.number,
-        "calibration": sequence.calibration,
-        "shakes": [
-            {
-                "amplitude": shake.amplitude,
-                "controller": shake.controller,
-                "override": shake.override,
-                "log": None if shake.log is None else shake.log[0],
-                "inside": shake.inside,
-                "damage": shake.damage,
-                "covered": shake.covered,
-            }
-            for shake in sequence.shakes
-        ],
-    }

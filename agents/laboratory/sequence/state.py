@@ -192,3 +192,24 @@ def _require_intervals(forecast: Mapping[str, Any] | None) -> None:
             or not all(isinstance(each, int | float) for each in interval)
         ):
             raise ValueError(f"the interval of {name} is not three numbers")
+
+
+def state_of(sequence: Sequence) -> dict[str, Any]:
+    """Return a sequence for a person: each shake's amplitude, controller and what came of it."""
+    return {
+        "folder": str(sequence.folder),
+        "done": sequence.number,
+        "calibration": sequence.calibration,
+        "shakes": [
+            {
+                "amplitude": shake.amplitude,
+                "controller": shake.controller,
+                "override": shake.override,
+                "log": None if shake.log is None else shake.log[0],
+                "inside": shake.inside,
+                "damage": shake.damage,
+                "covered": shake.covered,
+            }
+            for shake in sequence.shakes
+        ],
+    }
