@@ -39,6 +39,7 @@ class Task:
     cost_ratio: float | None = None
     failure: str = ""
     any_code: bool = False  # whether a run counts that other code or versions made
+    first: Task | None = None  # the run whose policy this one begins with
 
     @property
     def name(self) -> str:
@@ -68,6 +69,11 @@ class Task:
     def _watch(self) -> RunWatch:
         return RunWatch(self.name, self.run)
 
+    def require_first(self) -> None:
+        """Note a failure where the run that this one would begin with is not done."""
+        if self.first is not None and self.state == "waiting" and self.first.state != "done":
+            self.state, self.failure = "failed", f"begins with {self.first.name}, which is not done"
+
     def begin(self) -> None:
         """Forget what the worker before has said of the run."""
         self.first_share = self.share
@@ -80,7 +86,7 @@ class Task:
         return Call(
             self.name,
             train_run,
-            (str(self.run), self.config.to_json(), command),
+            (str(self.run), self.config.to_json(), command, self.first and str(self.first.run)),
             log=log_of(self.run),
             folder=(folder, folder_token(folder)),
             needs_folder=True,
@@ -138,7 +144,14 @@ class Campaign:
         FileError
             If the folder of a run cannot be written.
         """
-        tasks = [task for task in self.tasks if task.state in ("begun", "waiting")]
+        for later in (False, True):
+            tasks = [task for task in self.tasks if (task.first is not None) is later]
+            for task in tasks:
+                task.require_first()
+            self._run(executor, tasks, on_update)
+
+    def _run(self, executor: Executor, tasks: list[Task], on_update: Callable[[Campaign], None]) -> None:
+        tasks = [task for task in tasks if task.state in ("begun", "waiting")]
         if not tasks:
             return
         self.workers = executor.workers
@@ -189,6 +202,9 @@ def plan_runs(
 ) -> list[Task]:
     """Return the runs of a campaign with the state of each.
 
+    An experiment whose initial policy has the name of another one of its evaluation task begins with
+    that one's policy of the same seed; the runs of both are the campaign's.
+
     Parameters
     ----------
     experiments
@@ -212,16 +228,34 @@ def plan_runs(
     for pattern in only:
         if not any(fnmatch(name, pattern) for name in names):
             raise unknown(ScenarioError, "only", pattern, names)
-    tasks = []
-    for experiment in experiments:
-        if only and not any(fnmatch(experiment.name, pattern) for pattern in only):
-            continue
-        for seed in range(experiment.seeds if seeds is None else seeds):
+    firsts = {each.name: first for each in experiments if (first := _first_of(each, experiments))}
+    chosen = [
+        each for each in experiments if not only or any(fnmatch(each.name, pattern) for pattern in only)
+    ]
+    counts = {each.name: each.seeds if seeds is None else seeds for each in chosen}
+    for each in chosen:
+        if (first := firsts.get(each.name)) is not None:
+            counts[first.name] = max(counts.get(first.name, 0), counts[each.name])
+    tasks: dict[tuple[str, int], Task] = {}
+    for experiment in [each for each in experiments if each.name in counts]:
+        for seed in range(counts[experiment.name]):
             run = folder / experiment.name / str(seed)
             task = Task(experiment, experiment.with_seed(seed), run, any_code=any_code)
             task.look()
-            tasks.append(task)
-    return tasks
+            tasks[experiment.name, seed] = task
+    for (name, seed), task in tasks.items():
+        if name in firsts:
+            task.first = tasks[firsts[name].name, seed]
+    return list(tasks.values())
+
+
+def _first_of(
+    experiment: ExperimentConfig, experiments: Sequence[ExperimentConfig]
+) -> ExperimentConfig | None:
+    """Return the experiment whose policy of the same seed this one begins with, if there is one."""
+    label = experiment.config.init_policy
+    name = f"{experiment.evaluation_task}/{label}"
+    return next((each for each in experiments if label and each.name == name), None)
 
 
 def plan_rows(tasks: Sequence[Task]) -> list[dict[str, Any]]:

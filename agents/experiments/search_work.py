@@ -201,7 +201,10 @@ def carry_out(
             raise PrunedError
 
     outcome = outcome_of(
-        Path(run), is_default, lambda: train_run(run, values, command, end_if_asked), validation.judge
+        Path(run),
+        is_default,
+        lambda: train_run(run, values, command, on_progress=end_if_asked),
+        validation.judge,
     )
     return {"outcome": outcome, "seconds": time.process_time() - began}
 

@@ -23,11 +23,13 @@ def train_run(
     run: str | PathLike[str],
     values: dict[str, Any],
     command: str,
+    first: str | None = None,
     on_progress: Callable[[Progress], None] = lambda progress: None,
 ) -> None:
     """Train a configuration, or go on with its run, and keep the run's progress file up to date.
 
-    What `on_progress` raises ends the run.
+    A new run begins with the policy of the run directory `first`, where one is given. What
+    `on_progress` raises ends the run.
 
     Raises
     ------
@@ -45,7 +47,10 @@ def train_run(
     end = time.monotonic() + LONGEST
     while True:
         try:
-            return train_or_resume(config, run, report=report, command=command, wait=PATIENCE)
+            return train_or_resume(
+                config, run, report=report, command=command, wait=PATIENCE,
+                first=None if first is None else Path(first),
+            )  # fmt: skip
         except InUseError as error:
             if time.monotonic() > end:
                 raise

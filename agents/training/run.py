@@ -66,6 +66,7 @@ def train(
     *,
     report: Callable[[Progress], None] = lambda progress: None,
     command: str | None = None,
+    first: Path | None = None,
 ) -> TrainResult:
     """Train a policy from scratch, or from `config.init_policy`, into a new run directory.
 
@@ -77,6 +78,8 @@ def train(
         Told where the run stands, every half second at most.
     command
         What the policy's card says it was made by; None: this process's own command line.
+    first
+        Policy to begin with, a file or a run directory; None: what `config.init_policy` names.
 
     Raises
     ------
@@ -89,8 +92,8 @@ def train(
     """
     run = Path(run)
     require_beginnable(config, run)
-    model, env, first = _new(config, first_file(config))
-    create_run_directory(run, lambda folder: _describe(folder, config, first))
+    model, env, file = _new(config, first_file(config, first))
+    create_run_directory(run, lambda folder: _describe(folder, config, file))
     with locked_folder(run), file_errors(run):
         require_beginnable(config, run)  # nor has another process begun it since
         forget_attempt(run)
@@ -125,6 +128,7 @@ def train_or_resume(
     report: Callable[[Progress], None] = lambda progress: None,
     command: str | None = None,
     wait: float = 0.0,
+    first: Path | None = None,
 ) -> None:
     """Train a run, or go on with it, or do nothing where it is done; see :func:`train`.
 
@@ -137,12 +141,12 @@ def train_or_resume(
     """
     run = Path(run)
     if not (run / CONFIG).exists():
-        train(config, run, report=report, command=command)
+        train(config, run, report=report, command=command, first=first)
         return
     require_same(config, run, "move it away, or name another")
     with locked_folder(run, wait), file_errors(run):
         if not is_finished(run):
-            _train_on(config, run, report, command)
+            _train_on(config, run, report, command, first)
 
 
 def require_beginnable(config: TrainConfig, run: str | PathLike[str]) -> None:
@@ -243,13 +247,17 @@ def _describe(folder: Path, config: TrainConfig, first: Path | None) -> None:
 
 
 def _train_on(
-    config: TrainConfig, run: Path, report: Callable[[Progress], None], command: str | None
+    config: TrainConfig,
+    run: Path,
+    report: Callable[[Progress], None],
+    command: str | None,
+    first: Path | None = None,
 ) -> TrainResult:
     """Go on with a run whose directory is locked; begin it where it was cut before a checkpoint."""
     if not checkpoints(run) and not (run / POLICY).exists():
         require_no_pickles(run)
-        first = run / FIRST
-        model, env, _ = _new(config, first if first.exists() else first_file(config))
+        kept = run / FIRST
+        model, env, _ = _new(config, kept if kept.exists() else first_file(config, first))
         forget_attempt(run)
         write_json(run / ENVIRONMENT, environment())
     else:

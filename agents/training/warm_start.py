@@ -19,11 +19,13 @@ from agents.training.policy_export import actor_of, export_policy
 from shake_env.errors import PolicyFileError
 
 
-def first_file(config: TrainConfig) -> Path | None:
-    """Return the file of the policy that a run begins with, or None where it begins from nothing."""
-    return (
-        None if config.init_policy is None else policy_path(config.init_policy, config.scenario.scenario)
-    )
+def first_file(config: TrainConfig, first: Path | None = None) -> Path | None:
+    """Return the file of the policy that a run begins with, or None where it begins from nothing.
+
+    It is `first`, a file or a run directory, and otherwise what the configuration names.
+    """
+    name = config.init_policy if first is None else str(first)
+    return None if name is None else policy_path(name, config.scenario.scenario)
 
 
 def load_actor_weights(model: Model, env: ShakeTableVecEnv, policy: PolicyFile) -> None:

@@ -23,7 +23,7 @@ from agents.experiments.results import evaluate_task
 from agents.experiments.runner import Campaign, plan_rows, plan_runs
 from agents.policies.base_law import base_law
 from agents.policies.estimated_law import EstimatedLaw
-from agents.policies.policy_file import load_policy
+from agents.policies.policy_file import file_digest, load_policy
 from agents.run_directory import locked_folder
 from agents.scenario_options import ScenarioOptions
 from agents.training.algorithm_options import PPOOptions
@@ -93,6 +93,40 @@ def test_a_run_that_fails_is_reported_and_stops_no_other(campaigned):
     assert campaign.counts() == {"done": 1, "failed": 1}
     assert list(campaign.failures()) == ["linear/bad/0"]
     assert "nowhere" in campaign.failures()["linear/bad/0"]
+
+
+def _begins_with(label, seeds=1):
+    """An experiment that goes on from another one of the linear table."""
+    config = replace(SMALL, init_policy=label)
+    return ExperimentConfig(
+        evaluation_task="linear", label="later", config=config, minutes=0.1, seeds=seeds
+    )
+
+
+def test_an_experiment_begins_with_the_policy_of_the_same_seed_of_another(tmp_path):
+    first, later = replace(GOOD, label="first"), _begins_with("first", seeds=2)
+    tasks = plan_runs([later, first], tmp_path, ["linear/later"])
+    assert sorted(task.name for task in tasks) == [
+        f"linear/{name}/{seed}" for name in ("first", "later") for seed in (0, 1)
+    ]
+    campaign = Campaign(tasks)
+    with LocalExecutor(2) as executor:
+        campaign.run(executor)
+    assert campaign.counts() == {"done": 4}, campaign.failures()
+    for seed in (0, 1):
+        begun = tmp_path / f"linear/first/{seed}/policy.safetensors"
+        card = load_policy(tmp_path / f"linear/later/{seed}/policy.safetensors").card
+        assert card["first"]["sha256"] == file_digest(begun)
+        assert card["config"]["init_policy"] == "first"  # no path: the folder may be moved
+    assert {task.state for task in plan_runs([later, first], tmp_path)} == {"done"}
+
+
+def test_a_run_whose_first_policy_is_not_there_is_a_failure(tmp_path):
+    campaign = Campaign(plan_runs([BAD, _begins_with("bad")], tmp_path))
+    with LocalExecutor(1) as executor:
+        campaign.run(executor)
+    assert campaign.counts() == {"failed": 2}
+    assert "linear/bad/0, which is not done" in campaign.failures()["linear/later/0"]
 
 
 def test_what_is_done_is_done_and_another_configuration_is_left_alone(campaigned):
