@@ -59,7 +59,8 @@ class Evaluate(CommandOptions):
     def run(self, console: Console) -> dict[str, Any]:
         """Evaluate, print, write."""
         from agents.evaluation.controller_set import require_names
-        from agents.evaluation.protocol import evaluate, find_entry
+        from agents.evaluation.entries import find_entry
+        from agents.evaluation.protocol import evaluate
         from agents.evaluation.result_files import write_result
         from agents.reporting.evaluation_tables import evaluation_markdown
 

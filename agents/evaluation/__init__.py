@@ -33,11 +33,11 @@ __getattr__, __all__ = names_of(
             "spectrum",
         ),
         "latency": ("decision_time",),
-        "protocol": (
+        "entries": (
             "Entry",
             "find_entry",
-            "evaluate",
         ),
+        "protocol": ("evaluate",),
         "result_files": (
             "read_result",
             "read_results",

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from os import PathLike
-from pathlib import Path
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -14,14 +12,15 @@ import shake_env
 from agents.evaluation.bound import causal_bound, optimal_cost
 from agents.evaluation.bound_store import Bounds, earthquake_bounds, search_code
 from agents.evaluation.controller_set import values_to_json
+from agents.evaluation.entries import Entry
 from agents.evaluation.fidelity import fidelity
 from agents.evaluation.latency import decision_time
 from agents.evaluation.scores import Episodes, below_bound, cost_figures, result_row
 from agents.evaluation.training_distance import training_warning
 from agents.execution.units import Unit, UnitRunner, report
 from agents.plain_values import plain_row
-from agents.policies.own_controller import is_own_controller, own_baseline, own_source
-from agents.policies.policy_file import PolicyFile, file_digest, load_policy
+from agents.policies.own_controller import is_own_controller, own_source
+from agents.policies.policy_file import PolicyFile
 from agents.policies.registry import (
     CLASSICAL,
     SHIPPED,
@@ -29,18 +28,16 @@ from agents.policies.registry import (
     get_controller,
     get_driven,
     information_of,
-    policy_path,
     values_for,
 )
 from agents.provenance import code_version, machine
-from agents.run_directory import BEST, POLICY, policy_of_run
 from agents.seeds import TEST_SEED
 from baselines.information import scenario_information
 from baselines.registry import ParameterValues, reference_name
 from baselines.tuned_values import TunedValues
-from shake_env.errors import ParameterError, PolicyFileError
+from shake_env.errors import ParameterError, ScenarioError
 from shake_env.rollout import Earthquake, noise_earthquakes, recorded_earthquakes, rollout
-from shake_env.scenario.digest import known_name
+from shake_env.safety.supervisor import Supervised
 from shake_env.scenario.scenario import Scenario
 
 FORMAT = "shake-evaluation-1"
@@ -49,98 +46,6 @@ MANY_LANES = 512  # where they are not
 MOST_BOUNDS = 200  # test earthquakes, the first ones, whose bound is computed
 BOUND = "bound"  # what costs are divided by where there is one
 SANITY_CONTROLLER = "none"  # whose costs tell whether table and earthquakes are what they were
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A row of a result: a classical controller, or the policies of some training seeds."""
-
-    name: str
-    policies: tuple[PolicyFile, ...] = ()  # one a seed; none: a classical controller of that name
-    sources: tuple[dict[str, Any], ...] = ()  # likewise: how each was made
-
-    @property
-    def runs(self) -> int:
-        """Number of rows that its table of episodes has."""
-        return max(1, len(self.policies))
-
-
-def find_entry(text: str, scenario: Scenario) -> Entry:
-    """Return what a word of the command line stands for.
-
-    Parameters
-    ----------
-    text
-        A classical controller's name, ``oracle``, ``ppo`` or ``apg`` (those that ship),
-        ``module:Class`` or ``file.py:Class`` (`agents.policies.own_controller`), or ``PATH`` or
-        ``NAME=PATH,PATH...``: policy files, run directories and folders of run directories,
-        whose policies together are one row.
-    scenario
-        What a policy has to fit.
-
-    Raises
-    ------
-    ScenarioError
-        If it is none of these.
-    PolicyFileError
-        If a policy cannot be read or does not fit the scenario, or a folder holds none.
-    """
-    name, separator, paths = text.rpartition("=")
-    if not separator or is_own_controller(text):
-        entry = find_controller(text)
-        if entry.kind == "own":
-            own_baseline(text)  # says at once if there is no such class
-        if entry.kind == "shipped":
-            return _learned(entry.name, [policy_path(entry.name, known_name(scenario))], scenario)
-        if entry.kind != "file":
-            return Entry(entry.name)
-    files = [file for path in paths.split(",") for file in policy_files(Path(path))]
-    return _learned(name or Path(paths.split(",")[0]).stem, files, scenario)
-
-
-def policy_files(path: str | PathLike[str]) -> list[Path]:
-    """Return the policy files that a path stands for: itself, its run's, or those of the runs in it.
-
-    Of an interrupted run that is named itself its best policy so far; of a folder of runs those of the
-    finished ones.
-
-    Raises
-    ------
-    PolicyFileError
-        If there are none.
-    """
-    path = Path(path)
-    if not path.is_dir():
-        return [path]
-    if (own := policy_of_run(path)).exists():
-        return [own]
-    # Seed 10 comes after seed 9.
-    files = sorted(path.glob(f"*/{POLICY}"), key=lambda f: (len(f.parent.name), f.parent.name))
-    if not files:
-        raise PolicyFileError(
-            "entry", str(path), f"holds no {POLICY} or {BEST}, and no runs with a {POLICY}"
-        )
-    return files
-
-
-def _learned(name: str, files: Sequence[Path], scenario: Scenario) -> Entry:
-    policies, sources = [], []
-    for file in files:
-        policy = load_policy(file).reading(scenario)
-        config = policy.card.get("config", {})
-        policies.append(policy)
-        sources.append(
-            {
-                "seed": config.get("seed"),
-                "algorithm": config.get("algorithm"),
-                "scenario": config.get("scenario", {}).get("scenario"),
-                "command": policy.card.get("command"),
-                "version": policy.card.get("version"),
-                "code": policy.card.get("code"),
-                "sha256": file_digest(file),
-            }
-        )
-    return Entry(name, tuple(policies), tuple(sources))
 
 
 def evaluate(
@@ -227,6 +132,9 @@ def evaluate(
     episodes = _all_episodes(
         rows.values(), scenario, quakes, repeats, values, runner or UnitRunner(), on_progress
     )
+    supervised = _supervised_episodes(
+        [each for each in rows.values() if each.policies], scenario, quakes, runner, on_progress
+    )
     latency = {
         name: _latency(each, scenario, values[name].parameters if name in values else None)
         for name, each in rows.items()
@@ -252,6 +160,7 @@ def evaluate(
             "code": code,
             "machine": machine(),
         }
+        | _supervised_row(supervised.get(name), yardsticks)
         for name, table in episodes.items()
     ]
     if known is not None:
@@ -287,6 +196,41 @@ def evaluate(
         "rows": summaries,
         "episodes": plain,
     }
+
+
+def can_supervise(scenario: Scenario) -> bool:
+    """Return whether the safety supervisor applies: it needs limits to keep, and the table's signals."""
+    try:
+        Supervised(get_controller(SANITY_CONTROLLER, scenario), scenario)
+    except ScenarioError:
+        return False
+    return True
+
+
+def _supervised_episodes(
+    entries: Sequence[Entry],
+    scenario: Scenario,
+    quakes: Sequence[Earthquake],
+    runner: UnitRunner | None,
+    on_progress: Callable[[str, float], None],
+) -> dict[str, Episodes]:
+    """Return the episodes of policies within the safety supervisor; none where it does not apply."""
+    if not entries or not can_supervise(scenario):
+        return {}
+    return _all_episodes(
+        entries, scenario, quakes, False, {}, runner or UnitRunner(),
+        lambda name, share: on_progress(f"{name}, supervised", share), supervised=True,
+    )  # fmt: skip
+
+
+def _supervised_row(table: Episodes | None, yardsticks: dict[str, Any]) -> dict[str, Any]:
+    """Return what a row says of its policies within the safety supervisor."""
+    if table is None:
+        return {}
+    figures = cost_figures(table.cost, **yardsticks)
+    acted = float(table.figures["supervised_share"].mean())
+    cost = figures["relative_cost"]
+    return {"supervised": {"relative_cost": cost, "failures": table.failures, "acted": acted}}
 
 
 def _shown_name(entry: Entry) -> str:
@@ -326,6 +270,7 @@ def _all_episodes(
     values: Mapping[str, ParameterValues],
     runner: UnitRunner,
     on_progress: Callable[[str, float], None],
+    supervised: bool = False,
 ) -> dict[str, Episodes]:
     """Return the episodes of every entry; a policy on some earthquakes side by side is a unit."""
     lanes = LANES if repeats else MANY_LANES
@@ -338,7 +283,7 @@ def _all_episodes(
         for run in range(each.runs):
             policy = each.policies[run] if each.policies else None
             for part in parts:
-                arguments = (each.name, policy, scenario, part, repeats, parameters)
+                arguments = (each.name, policy, scenario, part, repeats, parameters, supervised)
                 name = f"{each.name} {run + 1}" if each.runs > 1 else each.name
                 units.append(Unit(name, _part, arguments, (arguments, own)))
                 members.append((each.name, run))
@@ -363,11 +308,14 @@ def _part(
     quakes: Sequence[Earthquake],
     repeats: bool,
     parameters: Mapping[str, float] | None,
+    supervised: bool = False,
 ) -> list[dict[str, Any]]:
     """Return the figures of a controller on some earthquakes."""
     driven, controller = (
         get_driven(name, scenario, quakes, parameters) if policy is None else (scenario, policy)
     )
+    if supervised:
+        controller = Supervised(controller, driven)
     record = range(len(quakes)) if repeats else ()
     metrics, traces = rollout(controller, driven, quakes, record=record, on_step=report)
     rows = []
@@ -375,6 +323,8 @@ def _part(
         row = asdict(figures)
         if repeats:
             row |= asdict(fidelity(traces[lane], scenario.physics_step))
+        if isinstance(controller, Supervised):
+            row["supervised_share"] = controller.interventions().share
         rows.append(plain_row(row))
     return rows
 

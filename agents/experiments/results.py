@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from agents.evaluation.bound_store import search_code
-from agents.evaluation.protocol import Entry, evaluate, find_entry
+from agents.evaluation.entries import Entry, find_entry
+from agents.evaluation.protocol import can_supervise, evaluate
 from agents.evaluation.result_files import PREFIX, read_result, write_result
 from agents.execution.units import UnitRunner
 from agents.experiments.evaluation_tasks import EvaluationTask
@@ -61,7 +62,7 @@ def evaluate_task(
     known = None
     if file.exists() and not again:
         known = _read(file, task)
-    missing = [row for row in rows if known is None or not _holds(row, known["identity"], scenario)]
+    missing = [row for row in rows if known is None or not _holds(row, known, scenario)]
     if known is not None and not missing and known["bound"]["code"] == search_code():
         return file, known, False
     result = evaluate(
@@ -93,19 +94,25 @@ def _read(file: Path, task: EvaluationTask) -> dict[str, Any]:
     return known
 
 
-def _holds(row: Entry, known: dict[str, Any], scenario: Scenario) -> bool:
+def _holds(row: Entry, result: dict[str, Any], scenario: Scenario) -> bool:
     """Return whether a known row is this one's: the same rival, or policies that it was made of.
+
+    Policies' rows also have the figures within the safety supervisor, where it applies.
 
     Raises
     ------
     ParameterError
         If others have come, some of the known ones are gone, and there are fewer than there were.
     """
+    known = result["identity"]
     if row.name not in known["rows"]:
         return False
     if not row.policies:
         tuned: bool = known["tuned"].get(row.name, {}) == tuned_parameters(row.name, scenario)
         return tuned
+    figures = next(each for each in result["rows"] if each["controller"] == row.name)
+    if "supervised" not in figures and can_supervise(scenario):
+        return False
     here = Counter(source["sha256"] for source in row.sources)
     there = Counter(known["rows"][row.name])
     if here <= there:

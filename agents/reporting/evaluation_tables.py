@@ -27,6 +27,9 @@ def evaluation_markdown(result: dict[str, Any]) -> str:
     head[9:9] = [titles.get(name, f"{name.removesuffix('_error')} off % (median)") for name in shown]
     if same:
         del head[6]
+    supervised = any("supervised" in row for row in result["rows"])
+    if supervised:
+        head.insert(-1, "supervised: cost, failures, changed %")
     own = result.get("information", "")
     rows = [
         [
@@ -42,6 +45,7 @@ def evaluation_markdown(result: dict[str, Any]) -> str:
             *(interval_text(row[n], 3 if n == "optimality" else 1, _scale(n)) for n in shown),
             interval_text(row["acceleration_rms_error"], 1, 100.0),
             f"{row['failures']} of {row['episodes']}",
+            *([_supervised_text(row)] if supervised else []),
             "-" if row["decision_time"] is None else f"{1e6 * row['decision_time']:.0f}",
         ]
         for row in ranked_rows(result)
@@ -63,6 +67,14 @@ def evaluation_markdown(result: dict[str, Any]) -> str:
     elif result["optimal_cost"] is not None:
         lines.append(f"J* = {result['optimal_cost']:.6g}.")
     return "\n".join(lines) + "\n"
+
+
+def _supervised_text(row: dict[str, Any]) -> str:
+    """Return a policy's cost over the normaliser's within the safety supervisor, and what that did."""
+    if (figures := row.get("supervised")) is None:
+        return "-"
+    cost, share = cost_interval(figures["relative_cost"]).split(" ")[0], 100.0 * figures["acted"]
+    return f"{cost}, {figures['failures']} of {row['episodes']}, {share:.1g}"
 
 
 def _by_event(result: dict[str, Any]) -> list[str]:

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ import pytest
 from agents.__main__ import main
 from agents.evaluation.bound import optimal_cost
 from agents.evaluation.comparison import compare
-from agents.evaluation.protocol import Entry, evaluate, find_entry, policy_files
+from agents.evaluation.entries import Entry, find_entry, policy_files
+from agents.evaluation.protocol import can_supervise, evaluate
 from agents.evaluation.result_files import read_results, write_result
 from agents.evaluation.scores import below_bound, cost_figures
 from agents.policies.policy_file import file_digest, load_policy
@@ -154,6 +156,29 @@ def test_an_unknown_specimen_is_measured_by_the_bound(monkeypatch):
     assert "| true plant \u2020 |" in evaluation_markdown(
         result
     ) and "best attained" in evaluation_markdown(result)
+
+
+def test_policies_have_a_row_within_the_supervisor_where_it_applies(result, scenario):
+    realistic = make_scenario("laboratory", {"duration": 3.0})
+    # Full current for a whole test: the supervisor has to act, and keeps the table.
+    entry = find_entry("dagger-apg", realistic)
+    wild = replace(entry.policies[0], biases=(*entry.policies[0].biases[:-1], np.array([400.0])))
+    rows = [replace(entry, name="mine"), Entry("wild", (replace(wild, authority=1.0),), entry.sources)]
+    evaluated = evaluate(realistic, rows, earthquakes=2, repeats=False, resamples=20)
+    by_name = {row["controller"]: row for row in evaluated["rows"]}
+    mine, lost = by_name["mine"], by_name["wild"]
+    same = compare(
+        realistic, ["dagger-apg"], noise=2, records=False, seed=TEST_SEED, supervised=True
+    ).episodes["dagger-apg"]
+    bound = np.mean(evaluated["bound"]["costs"])
+    cost = mine["supervised"]["relative_cost"]["value"]
+    assert cost == pytest.approx(np.mean([each.cost for each in same]) / bound, rel=1e-6)
+    assert lost["failures"] == 2 and lost["supervised"]["failures"] == 0
+    assert mine["supervised"]["acted"] < 0.01 < lost["supervised"]["acted"]
+    text = evaluation_markdown(evaluated)
+    assert "supervised: cost, failures, changed %" in text and ", 0 of 2, " in text
+    # The linear table has no limits to keep.
+    assert "supervised" not in evaluation_markdown(result) and not can_supervise(scenario)
 
 
 def test_without_a_bound_the_reference_is_the_normaliser():

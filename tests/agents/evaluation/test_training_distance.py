@@ -6,7 +6,8 @@ from dataclasses import replace
 import pytest
 
 from agents.evaluation.comparison import compare
-from agents.evaluation.protocol import evaluate, find_entry
+from agents.evaluation.entries import find_entry
+from agents.evaluation.protocol import evaluate
 from agents.evaluation.training_distance import PARAMETERS, training_distance, training_warning
 from agents.policies.policy_file import load_policy
 from agents.policies.registry import SHIPPED, shipped_policy

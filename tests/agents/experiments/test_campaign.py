@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from agents.__main__ import main
-from agents.evaluation.protocol import evaluate, find_entry
+from agents.evaluation.entries import find_entry
+from agents.evaluation.protocol import evaluate
 from agents.execution.environment import environment
 from agents.execution.local_executor import LocalExecutor
 from agents.experiments import catalogue

@@ -7,7 +7,8 @@ import pytest
 
 from agents.__main__ import main
 from agents.evaluation.comparison import compare
-from agents.evaluation.protocol import evaluate, find_entry
+from agents.evaluation.entries import find_entry
+from agents.evaluation.protocol import evaluate
 from agents.experiments.controller_tuning import tune
 from agents.policies.own_controller import is_own_controller, own_baseline
 from agents.policies.registry import get_controller

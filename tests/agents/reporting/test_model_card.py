@@ -6,7 +6,8 @@ import shutil
 import pytest
 
 from agents.__main__ import main
-from agents.evaluation.protocol import evaluate, find_entry
+from agents.evaluation.entries import find_entry
+from agents.evaluation.protocol import evaluate
 from agents.evaluation.result_files import write_result
 from agents.policies.policy_file import PolicyFile, load_policy
 from agents.policies.registry import shipped_policy

@@ -14,7 +14,7 @@ from safetensors import safe_open
 from safetensors.numpy import save_file
 
 from agents.__main__ import main
-from agents.evaluation.protocol import find_entry
+from agents.evaluation.entries import find_entry
 from agents.experiments.catalogue import ExperimentConfig
 from agents.experiments.runner import Task
 from agents.policies.registry import get_controller
