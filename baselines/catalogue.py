@@ -238,7 +238,7 @@ def _ilc(scenario: Scenario, earthquakes: Sequence[Earthquake], *, step_weight: 
 MODELS = 32  # specimens that the multi-model design is made for
 # A looser place costs a percent less on the noise and loses tables that use all of their stroke: of 64
 # artificial earthquakes (validation) at 9 m 12, at 3 m 3, at 1 m none (`lqg`, unknown-specimen).
-_TOLERANCE = Tunable(0.0003, 1.0, 0.03, natural="high")
+_TOLERANCE = Tunable(0.0001, 1.0, 0.03, natural="high")
 _ESTIMATED = {"displacement_tolerance": _TOLERANCE, "model_error_scale": Tunable(0.003, 30.0, 1.0)}
 _BANDWIDTH = Tunable(0.02, 5.0, 1.0, natural="low")  # the feed-forward alone
 _DAMPING = Tunable(0.01, 0.7, 0.2)
@@ -278,7 +278,7 @@ BASELINES: dict[str, Baseline] = {
         _friction_feedforward,
         "preview LQR with friction and orifice feed-forward, behind an extended Kalman filter",
         {
-            "displacement_tolerance": Tunable(0.0003, 1.0, 0.01, natural="high"),
+            "displacement_tolerance": Tunable(0.0001, 1.0, 0.01, natural="high"),
             "model_error_scale": Tunable(0.003, 30.0, 0.1, natural="low"),
         },
     ),

@@ -180,6 +180,10 @@ def _distilled(
     return _experiment(evaluation_task, config, minutes, why, otherwise=_EARLY)
 
 
+# The plan's correction is larger where the nominal model is wrong, and differs from plant to plant.
+_INFORMED = DaggerOptions(teacher="nmpc-informed", gru_hidden_size=64, residual_scale=0.1, n_envs=32)
+
+
 def _gradients_from_imitation(
     evaluation_task: str,
     minutes: float,
@@ -297,14 +301,17 @@ EXPERIMENTS: tuple[ExperimentConfig, ...] = (
     _gradients_with_memory("unknown-specimen", 7.0),
     _paired("unknown-specimen", 3.0, _STROKE),
     _paired_with_memory("unknown-specimen"),
+    _distilled("unknown-specimen", 12.0, _INFORMED),
+    _gradients_from_imitation(
+        "unknown-specimen",
+        7.0,
+        _correction(memory=64, authority=0.1),
+        {**_STROKE, "total_timesteps": 4_915_200, "evaluations": 8},
+        _SOFT,
+    ),
     _gradients_with_memory("field", 9.0),
     _paired_with_memory("field"),
-    # The plan's correction is larger where the nominal model is wrong, and differs from plant to plant.
-    _distilled(
-        "field",
-        15.0,
-        DaggerOptions(teacher="nmpc-informed", gru_hidden_size=64, residual_scale=0.1, n_envs=32),
-    ),
+    _distilled("field", 15.0, _INFORMED),
     _gradients_from_imitation(
         "field",
         12.0,
