@@ -226,7 +226,7 @@ def _new(config: TrainConfig, file: Path | None) -> tuple[Model, TrainingTables,
     """Return a new model on its tables, and the file of the policy that it begins with."""
     scenario = config.scenario.build()
     first = None if file is None else load_policy(file)
-    env = training_tables(config, scenario)
+    env = training_tables(config, scenario, first)
     torch.set_num_threads(config.threads)
     model = new_model(config, scenario, env, direct=first is not None and first.direct)
     if first is not None:
@@ -262,7 +262,8 @@ def _train_on(
         write_json(run / ENVIRONMENT, environment())
     else:
         _note_environment(run / ENVIRONMENT)
-        env = training_tables(config, config.scenario.build())
+        first_policy = load_policy(run / FIRST) if (run / FIRST).exists() else None
+        env = training_tables(config, config.scenario.build(), first_policy)
         torch.set_num_threads(config.threads)
         model = load_checkpoint(run, config, env)
     return _run(model, config, env, run, report, command)

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
+
+import numpy as np
 
 from agents.learning.paired import PairedVecEnv
 from agents.learning.training_scenario import make_training_scenario, reward_scale
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import at_own_cost, base_law
+from agents.policies.estimated_law import EstimatedLaw
+from agents.policies.policy_file import LAW, PolicyFile
 from agents.seeds import RUN_SEEDS
 from agents.training.algorithm_options import ProximalOptions
 from agents.training.artificial_motions import artificial_motions
@@ -40,14 +45,21 @@ def training_scenario(config: TrainConfig, scenario: Scenario) -> Scenario:
     return made
 
 
-def training_tables(config: TrainConfig, scenario: Scenario) -> TrainingTables:
-    """Return the tables that a run trains on, with the law that its policy corrects."""
+def training_tables(
+    config: TrainConfig, scenario: Scenario, first: PolicyFile | None = None
+) -> TrainingTables:
+    """Return the tables that a run trains on, with the law that its policy corrects.
+
+    A run that goes on from the policy `first`, which corrects the law of the same name, corrects that
+    policy's own law: the values that are tuned for it may have changed since.
+    """
     chosen = config.chosen
     paired, gain = getattr(chosen, "paired", False), getattr(chosen, "reward_gain", 1.0)
     tables = ShakeTableVecEnv(
         training_scenario(config, scenario),
         chosen.n_envs * (2 if paired else 1),
-        base=base_law(chosen.base_controller, scenario, at_own_cost(scenario, config.scenario.scenario)),
+        base=_kept_law(config, scenario, first)
+        or base_law(chosen.base_controller, scenario, at_own_cost(scenario, config.scenario.scenario)),
         authority=chosen.residual_scale,
         reward_scale=gain * reward_scale(scenario, config.discount(scenario.control_period)),
     )
@@ -56,6 +68,18 @@ def training_tables(config: TrainConfig, scenario: Scenario) -> TrainingTables:
     if isinstance(chosen, ProximalOptions):
         return PairedVecEnv(tables, interval=chosen.n_steps)
     return PairedVecEnv(tables, against="base")
+
+
+def _kept_law(config: TrainConfig, scenario: Scenario, first: PolicyFile | None) -> EstimatedLaw | None:
+    """Return the law behind an estimator of a policy, if it has one of the configuration's name."""
+    if first is None or first.law is None or first.observation_size != scenario.observation.size:
+        return None
+    trained = first.card.get("config", {})
+    options = trained.get(str(trained.get("algorithm")).replace("-", "_"), {})
+    if options.get("base_controller") != config.chosen.base_controller:
+        return None
+    arrays: dict[str, Any] = {name: np.asarray(getattr(first.law, name), float) for name in LAW}
+    return replace(first.law, **arrays)
 
 
 def base_tables(env: TrainingTables) -> ShakeTableVecEnv:

@@ -8,6 +8,7 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.policies.policy_file import file_digest, load_policy
+from agents.policies.registry import policy_path
 from agents.policies.symmetry import mirror_averaged
 from agents.run_directory import FIRST, learning_curve
 from agents.scenario_options import ScenarioOptions
@@ -20,7 +21,7 @@ from agents.training.algorithm_options import (
     TQCOptions,
 )
 from agents.training.checkpoint import load_checkpoint
-from agents.training.config import TrainConfig
+from agents.training.config import TrainConfig, config_of
 from agents.training.model_factory import new_model
 from agents.training.policy_export import export_policy
 from agents.training.run import resume, train, training_tables
@@ -99,6 +100,32 @@ def test_a_correction_behind_an_estimator_goes_on():
     for ours, theirs in zip(begun.weights, policy.weights, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-9)
     np.testing.assert_array_equal(begun.memory.hidden_weight, policy.memory.hidden_weight)
+
+
+def test_a_policy_goes_on_with_its_own_law_where_that_was_tuned_anew(tmp_path):
+    """A policy file holds its law; the values tuned for the law's name may be others by now."""
+    shipped = load_policy(policy_path("ppo", "laboratory"))
+    older = replace(shipped.law, show=1.01 * shipped.law.show)
+    file = tmp_path / "older.safetensors"
+    replace(shipped, law=older).save(file)
+    options = config_of(shipped.card["config"]).ppo
+    config = TrainConfig(
+        scenario=ScenarioOptions("laboratory"), init_policy=str(file), episode_duration=0.3,
+        ppo=replace(options, n_envs=4, n_steps=32, batch_size=64), total_timesteps=256, evaluations=1,
+        evaluation_earthquakes=1, checkpoint_interval=1e-9,
+        net_arch=tuple(len(bias) for bias in shipped.biases[:-1]),
+    )  # fmt: skip
+    train(config, tmp_path / "run")
+    ended = load_policy(tmp_path / "run/policy.safetensors")
+    np.testing.assert_allclose(ended.law.show, older.show, rtol=1e-6)
+    result = tmp_path / "run/result.json"
+    result.unlink()
+    resume(tmp_path / "run")  # goes on from its last checkpoint, on the same law
+    again = load_policy(tmp_path / "run/policy.safetensors")
+    np.testing.assert_array_equal(again.law.show, ended.law.show)
+    other = replace(config, ppo=replace(config.ppo, base_controller="lqg"))
+    with pytest.raises(PolicyFileError, match="law"):
+        train(other, tmp_path / "other")
 
 
 def tiny(critic_first=0.0, **changes):
