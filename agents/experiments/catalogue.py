@@ -261,6 +261,47 @@ EXPERIMENTS: tuple[ExperimentConfig, ...] = (
         otherwise=("objective.force_weight=2.5",),
     ),
     _ppo_from_nothing("friction", 7.0, biases=True),
+    # The teacher is told the friction. Its correction of LQR is 0.4 % of the current's range, and turns
+    # about within a control period, which gradients from random weights do not find.
+    _experiment(
+        "friction",
+        TrainConfig(
+            algorithm="dagger",
+            dagger=DaggerOptions(
+                teacher="lqr-friction-ff",
+                base_controller="lqr",
+                residual_scale=0.02,
+                n_envs=64,
+                batch_size=2048,
+            ),
+            episode_duration=15.0,
+            evaluations=10,
+            total_timesteps=1_920_000,
+        ),
+        3.0,
+        "imitates the law that is told the friction",
+    ),
+    _experiment(
+        "friction",
+        TrainConfig(
+            algorithm="apg",
+            apg=APGOptions(
+                base_controller="lqr",
+                residual_scale=0.02,
+                actor_bias=True,
+                n_envs=64,
+                rollout_horizon=192,
+                learning_rate=1e-4,
+            ),
+            init_policy="dagger",
+            episode_duration=20.0,
+            evaluations=10,
+            total_timesteps=2_457_600,
+        ),
+        2.0,
+        "goes on from `dagger` on the cost itself; a tenth of the step: the start is near the optimum",
+        label="dagger-apg",
+    ),
     _experiment(
         "friction-coarse",
         TrainConfig(algorithm="apg", apg=replace(_BIASED, learning_rate=3e-4)),
