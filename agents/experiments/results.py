@@ -97,7 +97,7 @@ def _read(file: Path, task: EvaluationTask) -> dict[str, Any]:
 def _holds(row: Entry, result: dict[str, Any], scenario: Scenario) -> bool:
     """Return whether a known row is this one's: the same rival, or policies that it was made of.
 
-    Policies' rows also have the figures within the safety supervisor, where it applies.
+    A row of all its policies also has the figures within the safety supervisor, where it applies.
 
     Raises
     ------
@@ -110,11 +110,11 @@ def _holds(row: Entry, result: dict[str, Any], scenario: Scenario) -> bool:
     if not row.policies:
         tuned: bool = known["tuned"].get(row.name, {}) == tuned_parameters(row.name, scenario)
         return tuned
-    figures = next(each for each in result["rows"] if each["controller"] == row.name)
-    if "supervised" not in figures and can_supervise(scenario):
-        return False
     here = Counter(source["sha256"] for source in row.sources)
     there = Counter(known["rows"][row.name])
+    if here == there:
+        figures = next(each for each in result["rows"] if each["controller"] == row.name)
+        return "supervised" in figures or not can_supervise(scenario)
     if here <= there:
         return True
     if there <= here or here.total() >= there.total():
