@@ -50,8 +50,8 @@ PAIRS = (("mass_ratio", "storey_frequency"), ("coulomb_friction", "delay"), ("am
 # What is compared unless told otherwise: the reference, what ships, and the best of the classical ones.
 DEFAULT_BASELINES = {
     "linear": ("h-infinity",),
-    "laboratory": ("lqg-dac", "h-infinity", "lqg-searched"),
-    "records": ("lqg-dac", "h-infinity", "lqg-searched"),
+    "laboratory": ("lqr-friction-ff", "nmpc", "lqg-searched"),
+    "records": ("lqr-friction-ff", "nmpc", "lqg-searched"),
     "unknown-specimen": ("lqg-dac", "h-infinity", "lqg-searched"),
     "yielding": ("h-infinity", "lqg-searched"),
 }
