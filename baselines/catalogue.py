@@ -239,7 +239,9 @@ MODELS = 32  # specimens that the multi-model design is made for
 # A looser place costs a percent less on the noise and loses tables that use all of their stroke: of 64
 # artificial earthquakes (validation) at 9 m 12, at 3 m 3, at 1 m none (`lqg`, unknown-specimen).
 _TOLERANCE = Tunable(0.0001, 1.0, 0.03, natural="high")
-_ESTIMATED = {"displacement_tolerance": _TOLERANCE, "model_error_scale": Tunable(0.003, 30.0, 1.0)}
+# Towards 0 the filter trusts its model entirely.
+_ERROR = Tunable(0.003, 30.0, 1.0, natural="low")
+_ESTIMATED = {"displacement_tolerance": _TOLERANCE, "model_error_scale": _ERROR}
 _BANDWIDTH = Tunable(0.02, 5.0, 1.0, natural="low")  # the feed-forward alone
 _DAMPING = Tunable(0.01, 0.7, 0.2)
 _CUTOFF = Tunable(10.0, 200.0, 40.0, natural="high")  # past half the control rate: no low-pass
