@@ -1,20 +1,30 @@
 """`shake bound` and `shake plan`."""
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 pytest.importorskip("numba")
 
 from agents.__main__ import main
+from agents.cli.planning.plan import Plan, check_durations
 from agents.evaluation.bound import causal_bound, default_seeds
 from agents.evaluation.bound_store import Bounds, EpisodeBound
+from agents.motions.channels import MotionOptions
 from baselines.lqr.sampled import sampled_lqr
 from baselines.planning.bound import Start
 from baselines.planning.planned import RecordPlan
 from shake_env import make_scenario
-from shake_env.records import RECORD_NAMES
+from shake_env.errors import ParameterError, RecordError
+from shake_env.motion.targets import FilteredNoise, MotionSet, RecordedMotion
+from shake_env.records import RECORD_NAMES, read_motion
+from shake_env.rollout import Earthquake
+
+DATA = Path(__file__).parents[2] / "data"
 
 
 def test_bound_prints_costs_of_every_seed(capsys):
@@ -80,6 +90,47 @@ def test_the_causal_bound_of_the_linear_table_is_lqr():
     known = causal_bound(scenario)
     design = sampled_lqr(scenario.discrete, scenario.stage_cost)
     assert known["exact"] and known["cost"] == pytest.approx(design.analytic_cost)
+
+
+def earthquakes(record, scenario="laboratory", **options):
+    made = make_scenario(scenario) if isinstance(scenario, str) else scenario
+    return Plan(record=record, motion_options=MotionOptions(**options)).earthquakes(made, Console())
+
+
+def test_an_embedded_record_is_planned_in_any_scenario():
+    file = DATA / "CICLC_trimmed.v1"
+    (own, *_) = read_motion(file)
+    others = replace(make_scenario("laboratory"), motion=MotionSet((RecordedMotion(record=own),)))
+    (there,), (plain,) = (earthquakes(RECORD_NAMES[1], each) for each in (others, "laboratory"))
+    assert there == plain and there.name == RECORD_NAMES[1]
+    assert len(earthquakes(str(file), highpass=0.5)) >= 1
+
+
+def test_options_of_files_are_refused_for_an_embedded_record():
+    for option, value in (("highpass", 0.5), ("units", "g"), ("allow_large", True), ("stroke", 0.05)):
+        with pytest.raises(ParameterError, match=f"--{option.replace('_', '-')} = .*applies to files"):
+            earthquakes(RECORD_NAMES[0], **{option: value})
+
+
+def test_a_name_that_is_no_record_suggests_one():
+    with pytest.raises(RecordError, match=r"is no file; did you mean 'napa2014_68150_hn[en]'"):
+        earthquakes("napa2014_68150_hn")
+    with pytest.raises(RecordError, match="known: napa2014"):
+        earthquakes("kobe")
+
+
+def test_a_long_motion_is_refused_or_its_time_told(capsys):
+    scenario = make_scenario("laboratory")
+
+    def lasting(duration):
+        quake = Earthquake("long", FilteredNoise(duration=duration))
+        check_durations([quake], scenario, Console(width=200))
+        return capsys.readouterr().out
+
+    assert lasting(60.0) == ""
+    assert "600 s of motion: planning takes about 5 min" in lasting(600.0)
+    with pytest.raises(ParameterError, match=r"lasts 3600 s .*about 30 min.*cut it to 1200 s"):
+        lasting(3600.0)
 
 
 @pytest.mark.slow
