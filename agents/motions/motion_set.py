@@ -134,7 +134,7 @@ def read_motion_set(folder: str | PathLike[str]) -> TestSet:
 
 
 def _overlap(one: SetMotion, other: SetMotion) -> bool:
-    """Return whether two entries of one content share a channel; one without a column takes every one."""
+    """Return whether two entries of one content share a channel; without a column it is every one."""
     parts = [(one.reading.get(key), other.reading.get(key)) for key in ("sheet", "column")]
     return all(a is None or b is None or a == b for a, b in parts)
 

@@ -47,7 +47,9 @@ def comparison_notes(comparison: Comparison) -> list[str]:
     bound = comparison.bound_to_json()
     if bound is None:
         return notes
-    return [*bound_notes(bound, len(comparison.groups)), *notes]
+    # For terminal and page, which have no Markdown.
+    own = [note.replace("**", "") for note in bound_notes(bound, len(comparison.groups))]
+    return [*own, *notes]
 
 
 def bound_notes(bound: dict[str, Any], earthquakes: int) -> list[str]:

@@ -174,7 +174,8 @@ def test_the_bound_of_all_test_earthquakes(name):
     costs = np.array([each.cost for each in found])
     assert np.isfinite(costs).all()
     assert max(each.disagreement for each in found) < 0.01
-    allowed = {"linear": 0.5, "yielding": 0.5, "unknown-specimen": 0.5, "records": 6.0}.get(name, 2.0)
+    goal = {"linear": 0.5, "yielding": 0.5, "unknown-specimen": 0.5, "records": 6.0, "field": 6.0}
+    allowed = goal.get(name, 2.0)  # `field`, which has no goal of its own: that of a record
     # Of an earthquake, all its starts; the first one compiles.
     seconds = [sum(start.seconds for start in each.starts) for each in found[1:]]
     assert np.median(seconds) < allowed
