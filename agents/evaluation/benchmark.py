@@ -13,7 +13,6 @@ from agents.evaluation.bound import causal_bound
 from agents.evaluation.comparison import compare
 from agents.evaluation.controller_set import ALL, values_to_json
 from agents.evaluation.results import Comparison, GroupSummary
-from agents.evaluation.scores import below_bound
 from agents.plain_values import plain_row
 from agents.policies.registry import ORACLE
 from agents.provenance import machine
@@ -66,14 +65,6 @@ def run_benchmark(
         bound=True,
         on_progress=on_progress,
     )
-    assert comparison.bounds is not None
-    bound = comparison.bounds.to_json()
-    if not bound["reason"]:
-        bound["below"] = [
-            {"controller": name, **each}
-            for name, rows in comparison.episodes.items()
-            for each in below_bound([[row.cost for row in rows]], bound["costs"], bound["disagreements"])
-        ]
     return {
         "scenario": scenario_label(scenario_name),
         "fields": _file_fields(scenario_name),
@@ -82,7 +73,7 @@ def run_benchmark(
         "seed": None if recorded else TEST_SEED,
         "reference": reference_name(scenario),
         "information": comparison.information,
-        "bound": bound,
+        "bound": comparison.bound_to_json(),
         "causal_bound": causal_bound(scenario),
         "controllers": list(names),
         "skipped": comparison.skipped,

@@ -9,6 +9,7 @@ import shake_env
 from agents.evaluation.bound_store import Bounds
 from agents.evaluation.controller_set import describe_values, values_to_json
 from agents.evaluation.fidelity import Fidelity
+from agents.evaluation.scores import below_bound
 from agents.evaluation.tracking import BANDS, TrackingFigures
 from agents.plain_values import plain_row
 from baselines.registry import ParameterValues
@@ -205,10 +206,23 @@ class Comparison:
             "interventions": self.interventions,
             "values": values_to_json(self.values),
             "warnings": self.warnings,
-            "bound": None if self.bounds is None else self.bounds.to_json(),
+            "bound": self.bound_to_json(),
             "information": self.information,
             "by_event": self.by_event(),
         }
+
+    def bound_to_json(self) -> dict[str, Any] | None:
+        """Return the bounds with ``below``, the episodes that cost less; None: not asked for."""
+        if self.bounds is None:
+            return None
+        bound = self.bounds.to_json()
+        if not bound["reason"]:
+            bound["below"] = [
+                {"controller": name, **each}
+                for name, rows in self.episodes.items()
+                for each in below_bound([[m.cost for m in rows]], bound["costs"], bound["disagreements"])
+            ]
+        return bound
 
     def by_event(self) -> dict[str, dict[str, float]]:
         """Return the cost over the reference's by event and controller; {}: there are no events."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation.bound_store import SOLVER_TOLERANCE
+from agents.evaluation.bound_store import AGREEMENT, SOLVER_TOLERANCE
 from agents.evaluation.statistics import (
     Scores,
     Statistic,
@@ -154,6 +154,9 @@ def below_bound(
 ) -> list[dict[str, Any]]:
     """Return the episodes that cost less than their bound by more than its starts differ.
 
+    Starts that differ by more than `AGREEMENT` excuse no more than that: a bound that they do not
+    establish is not hidden by them.
+
     Parameters
     ----------
     cost
@@ -168,7 +171,7 @@ def below_bound(
     Run, earthquake (places) and cost over the bound, of each such episode.
     """
     ratio = np.array(cost)[:, : len(bounds)] / np.array(bounds)
-    low = ratio < 1.0 - np.maximum(disagreements, SOLVER_TOLERANCE)
+    low = ratio < 1.0 - np.clip(disagreements, SOLVER_TOLERANCE, AGREEMENT)
     return [
         {"run": int(run), "earthquake": int(quake), "ratio": float(ratio[run, quake])}
         for run, quake in np.argwhere(low)

@@ -19,6 +19,7 @@ from rich.console import Console
 from agents.motions.channels import MotionOptions, motion_earthquakes
 from shake_env.errors import FileError, unknown
 from shake_env.files import no_file
+from shake_env.motion.targets import RecordedMotion
 from shake_env.rollout import Earthquake
 from shake_env.scenario.scenario import Scenario
 
@@ -59,12 +60,21 @@ class TestSet:
         ------
         RecordError
             If a file cannot be read.
+        FileError
+            If two entries give the same samples, such as a column by its title and by its number.
         """
         quakes: list[Earthquake] = []
         events: list[str] = []
-        for motion in self.motions:
+        first: dict[Any, str] = {}
+        for number, motion in enumerate(self.motions, 1):
             own = replace(options, **motion.reading)
             each = motion_earthquakes([motion.file], own, scenario, scale=scale, console=console)
+            for quake in each:
+                assert isinstance(quake.motion, RecordedMotion)  # it comes from a file
+                key = (quake.motion.source.digest, quake.motion.source.sampling_interval)
+                if first.setdefault(key, f"motion {number}") != f"motion {number}":
+                    remedy = f"has the samples of {first[key]}: leave one of them out"
+                    raise FileError(f"motion {number} of {self.name}", quake.name, remedy)
             quakes += each
             events += [motion.event] * len(each)
         return quakes, events
@@ -80,7 +90,7 @@ class TestSet:
 
 
 def read_motion_set(folder: str | PathLike[str]) -> TestSet:
-    """Return the set that a folder holds.
+    """Return the set that a folder holds; its manifest may be named in place of the folder.
 
     Raises
     ------
@@ -89,6 +99,11 @@ def read_motion_set(folder: str | PathLike[str]) -> TestSet:
         file is missing, named twice or outside of the folder, or its digest differs.
     """
     folder = Path(folder)
+    if folder.is_file():  # the manifest itself is as good
+        if folder.name != MANIFEST:
+            remedy = f"is no folder: name the folder that holds {MANIFEST}"
+            raise FileError("motion_set", str(folder), remedy)
+        folder = folder.parent
     manifest = folder / MANIFEST
     if not manifest.is_file():
         remedy = f"{no_file(manifest)}: describe the records in it, see docs/howto/record.md"
@@ -105,13 +120,23 @@ def read_motion_set(folder: str | PathLike[str]) -> TestSet:
     if not isinstance(entries, list) or not entries:
         raise _fault(manifest, "motion", entries, "give at least one [[motion]]")
     motions = tuple(_motion(manifest, number, entry) for number, entry in enumerate(entries, 1))
-    read: set[tuple[Path, Any]] = set()
     for number, motion in enumerate(motions, 1):
-        key = (motion.file.resolve(), motion.reading.get("column"))
-        if key in read:
-            raise _fault(manifest, f"motion {number}.file", motion.file.name, "is named twice")
-        read.add(key)
+        for before, other in enumerate(motions[: number - 1], 1):
+            if motion.sha256.lower() == other.sha256.lower() and _overlap(motion, other):
+                whole = (
+                    ""
+                    if "column" in motion.reading and "column" in other.reading
+                    else ("; an entry without a column takes every column")
+                )
+                remedy = f"is named twice, see motion {before}{whole}"
+                raise _fault(manifest, f"motion {number}.file", motion.file.name, remedy)
     return TestSet(name, motions)
+
+
+def _overlap(one: SetMotion, other: SetMotion) -> bool:
+    """Return whether two entries of one content share a channel; without a column it is every one."""
+    parts = [(one.reading.get(key), other.reading.get(key)) for key in ("sheet", "column")]
+    return all(a is None or b is None or a == b for a, b in parts)
 
 
 def _motion(manifest: Path, number: int, entry: Any) -> SetMotion:

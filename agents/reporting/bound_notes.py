@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from agents.evaluation.bound_store import AGREEMENT
 from agents.evaluation.results import Comparison
 from baselines.information import MEANINGS, knows_no_more
 
@@ -43,10 +44,12 @@ def comparison_notes(comparison: Comparison) -> list[str]:
     """Return in sentences what the bound and the classes of information in the tables are."""
     classes = [row.information for row in comparison.summaries]
     notes = class_note(classes, comparison.information)
-    if comparison.bounds is None:
+    bound = comparison.bound_to_json()
+    if bound is None:
         return notes
-    bound = comparison.bounds.to_json()
-    return [*bound_notes(bound, len(comparison.groups)), *notes]
+    # For terminal and page, which have no Markdown.
+    own = [note.replace("**", "") for note in bound_notes(bound, len(comparison.groups))]
+    return [*own, *notes]
 
 
 def bound_notes(bound: dict[str, Any], earthquakes: int) -> list[str]:
@@ -72,12 +75,32 @@ def bound_notes(bound: dict[str, Any], earthquakes: int) -> list[str]:
         worst = min(below, key=lambda each: each["ratio"])
         names = ", ".join(f"`{name}`" for name in dict.fromkeys(each["controller"] for each in below))
         lines.append(
-            f"**{len(below)} episodes cost less than their bound by more than its starts differ** "
-            f"({names}; the least {worst['ratio']:.4f} of it): there the bound is not the optimum."
+            f"**{len(below)} episodes cost less than their bound by more than its starts differ, or by "
+            f"more than {100 * AGREEMENT:g} %** ({names}; the least {worst['ratio']:.4f} of it): "
+            "there the bound is not the optimum."
         )
     else:
         lines.append("No controller costs less than the bound on any of these.")
-    return lines
+    return lines + disagreement_note(bound["disagreements"])
+
+
+def disagreement_note(disagreements: Sequence[float]) -> list[str]:
+    """Return in a sentence where the starts of a search do not establish the bound; empty: nowhere.
+
+    Parameters
+    ----------
+    disagreements
+        Of each earthquake, the cost of the worst start over that of the best one, minus 1.
+    """
+    apart = [each for each in disagreements if each > AGREEMENT]
+    if not apart:
+        return []
+    return [
+        f"**On {len(apart)} of {len(disagreements)} earthquakes the starts differ by more than "
+        f"{100 * AGREEMENT:g} %** (at most {100 * max(apart):.2g} %): there the bound is not "
+        "established. The cause is usually a dead band or a friction threshold, which the slopes of "
+        "the search do not show. A controller that costs less is the better yardstick there."
+    ]
 
 
 def causal_notes(

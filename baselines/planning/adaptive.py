@@ -12,7 +12,7 @@ along the parameters. The loop delay is not estimated.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -29,6 +29,7 @@ from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty, Uniform
 
 # Parameters are over their nominal values.
+NOT_ESTIMATED = ("delay", "storey_factor")  # fields of a scenario's uncertainty
 STEP = 0.01  # [-] between the models that slopes along a parameter are taken from
 WALK = 2e-4  # [-] that a parameter is taken to change by in a period
 RENEW_MODEL = 0.008  # [-] by which an estimate moves before the models of the table are made anew
@@ -60,10 +61,15 @@ class UncertainParameters:
         drawn = {
             name: each
             for name, each in vars(scenario.uncertainty).items()
-            if isinstance(each, Uniform) and name not in ("delay", "storey_factor")
+            if isinstance(each, Uniform) and name not in NOT_ESTIMATED
         }
         if not drawn:
-            raise ScenarioError("uncertainty", "none", "no parameter is drawn: ask for nmpc")
+            others = [name for name in NOT_ESTIMATED if getattr(scenario.uncertainty, name, None)]
+            if not others:
+                raise ScenarioError("uncertainty", "none", "no parameter is drawn: ask for nmpc")
+            names = [f.name for f in fields(Uncertainty) if f.name not in NOT_ESTIMATED]
+            remedy = f"is not estimated: draw one of {', '.join(names)}, or ask for nmpc"
+            raise ScenarioError("uncertainty", ", ".join(others), remedy)
         own = _nominal_values(scenario)
         low = np.array([max(each.low, LEAST * each.high) for each in drawn.values()])
         high = np.array([each.high for each in drawn.values()])

@@ -11,6 +11,10 @@ from __future__ import annotations
 
 import io
 import math
+import struct
+import tokenize
+import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -28,8 +32,10 @@ from shake_env.errors import FileError, ParameterError
 from shake_env.files import write_bytes
 from shake_env.model.parameters import FloatArray
 from shake_env.model.plant import TABLE_DISPLACEMENT
+from shake_env.motion.targets import FilteredNoise
 from shake_env.rollout import Earthquake
 from shake_env.scenario.digest import scenario_digest
+from shake_env.scenario.observation import Sensing
 from shake_env.scenario.scenario import Scenario
 from shake_env.scenario.uncertainty import Uncertainty
 
@@ -42,7 +48,7 @@ class RecordPlan:
     """The plan of one earthquake on the nominal table."""
 
     name: str  # of the earthquake
-    digest: str  # of the scenario, its nominal table alone
+    digest: str  # see `table_digest`
     cost: float  # mean stage cost on the nominal table
     current: FloatArray  # (T) [A]
     state: FloatArray  # (T + 1, n) SI, the commands under way last
@@ -71,17 +77,51 @@ class RecordPlan:
         Raises
         ------
         FileError
-            If there is no such file, or it is none of these.
+            If there is no such file, it is none of these, or it is not whole.
         """
         try:
-            with np.load(file, allow_pickle=False) as held:
+            with np.load(io.BytesIO(Path(file).read_bytes()), allow_pickle=False) as held:
+                if not isinstance(held, np.lib.npyio.NpzFile):
+                    raise ValueError("one array")
                 arrays = {name: np.asarray(held[name], dtype=float) for name in ARRAYS}
                 name, digest = str(held["name"]), str(held["digest"])
-                return cls(name, digest, float(held["cost"]), **arrays)
-        except (OSError, KeyError, ValueError) as error:
+                plan = cls(name, digest, float(held["cost"]), **arrays)
+        # What numpy and zipfile raise for damaged files: of the archive, its members and their headers.
+        except (
+            *(OSError, KeyError, ValueError, TypeError, EOFError, RuntimeError, MemoryError),
+            *(zipfile.BadZipFile, zlib.error, struct.error, SyntaxError, tokenize.TokenError),
+        ) as error:
             what = f"the key {error} is missing" if isinstance(error, KeyError) else error
             remedy = f"is no file of shake plan ({what}): write it anew by shake plan"
             raise FileError("plan", str(file), remedy) from error
+        if fault := plan._fault():
+            raise FileError("plan", str(file), f"{fault}: write it anew by shake plan")
+        return plan
+
+    def _fault(self) -> str:
+        """Return why the arrays are no plan; empty: they are one."""
+        if any(getattr(self, name).ndim != (1 if name == "current" else 2) for name in ARRAYS):
+            return "holds arrays of other dimensions than a plan"
+        T, n, k = len(self.current), self.state.shape[1], self.target.shape[1]
+        shapes = {"state": (T + 1, n), "response": (T, 2 * k), "gain": (T, n), "target": (T, k)}
+        shapes["shear"] = (T, k)
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape or not T:
+                return f"{name} has shape {getattr(self, name).shape}, not {shape}"
+        if not all(np.isfinite(getattr(self, name)).all() for name in ARRAYS):
+            return "holds values that are no finite numbers"
+        return ""
+
+
+def table_digest(scenario: Scenario) -> str:
+    """Return the digest of the nominal table that a plan is made for.
+
+    Table, specimen, limits, objective, delay and rates are in it. What the scenario shows, its preview
+    and its motions are not: a plan is of currents and states, and the filter that estimates these is
+    made of the sensors of the scenario that the plan is played in.
+    """
+    own = nominal_scenario(scenario)
+    return scenario_digest(replace(own, sensing=Sensing(), motion=FilteredNoise()))
 
 
 def nominal_scenario(scenario: Scenario) -> Scenario:
@@ -116,7 +156,7 @@ def plan_records(
         plans.append(
             RecordPlan(
                 quake.name,
-                scenario_digest(own),
+                table_digest(scenario),
                 optimum.cost,
                 optimum.current,
                 optimum.state,
@@ -183,10 +223,14 @@ class PlannedControl:
     def __init__(
         self, scenario: Scenario, plans: Sequence[RecordPlan], model_error_scale: float = 0.1
     ) -> None:
-        digest = scenario_digest(nominal_scenario(scenario))
+        digest = table_digest(scenario)
         for plan in plans:
             if plan.digest != digest:
-                raise ParameterError("plan", plan.name, "was made for another table: plan it anew")
+                remedy = (
+                    "was made for another table, specimen, objective or other limits or rates: "
+                    "plan it anew with shake plan, in this scenario"
+                )
+                raise ParameterError("plan", plan.name, remedy)
         self._scenario, self._shown = scenario, scenario.observation
         self.filter = ExtendedKalmanFilter.from_scenario(
             nominal_scenario(scenario), model_error(scenario, model_error_scale)

@@ -24,6 +24,14 @@ from shake_env.scenario.tables.on_table import on_table
 from shake_env.scenario.tables.table import named_table
 from shake_env.scenario.uncertainty import Uncertainty
 
+# Names of results that stand for another scenario with something changed.
+HINTS = {
+    "friction": "that is linear with --set nonlinearity.friction.coulomb=300; ",
+    "friction-coarse": (
+        "that is linear with --set nonlinearity.friction.coulomb=300 --physics-step 0.005; "
+    ),
+}
+
 
 class Overrides(TypedDict, total=False):
     """What can be changed about a scenario by a word; anything else by its path in ``fields``."""
@@ -100,7 +108,8 @@ def make_scenario(
         scenario = read_scenario(scenario)
     elif isinstance(scenario, str):
         if scenario not in NAMED:
-            raise unknown(ScenarioError, "scenario", scenario, [*NAMED, "FILE.toml"])
+            error = unknown(ScenarioError, "scenario", scenario, [*NAMED, "FILE.toml"])
+            raise ScenarioError("scenario", scenario, HINTS.get(scenario, "") + error.remedy)
         scenario = NAMED[scenario]()
     if not isinstance(scenario, Scenario):
         raise ScenarioError("scenario", scenario, "must be a Scenario or the name of one")

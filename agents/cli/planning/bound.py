@@ -12,8 +12,8 @@ from agents.cli.command_options import FolderOptions
 from agents.progress import progress_bar
 from agents.reporting.terminal import print_table
 from agents.scenario_options import ScenarioOptions
-from agents.seeds import TEST_SEED
-from shake_env.errors import ParameterError
+
+EARTHQUAKES = 4  # where no seeds are given
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,18 +31,19 @@ class Bound(FolderOptions):
     """
 
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")] = field(default_factory=ScenarioOptions)
-    seeds: tuple[int, int] = (TEST_SEED, TEST_SEED + 4)
-    """Seeds of the earthquakes: from the first to the one before the second. A scenario of recorded
-    motions has its own earthquakes, numbered from 0."""
+    seeds: tuple[int, int] | None = None
+    """Seeds of the earthquakes: from the first to the one before the second (unset: the first four test
+    earthquakes). A scenario of recorded motions has its own earthquakes, numbered from 0 (unset: all of
+    them)."""
 
     def run(self, console: Console) -> dict[str, Any]:
         """Find, print, draw."""
-        from agents.evaluation.bound import bound_of
+        from agents.evaluation.bound import bound_of, default_seeds, seeded_earthquakes
+        from agents.reporting.bound_notes import disagreement_note
 
-        first, end = self.seeds
-        if not 0 <= first < end:
-            raise ParameterError("seeds", self.seeds, "give two, the second above the first")
         scenario = self.scenario.build()
+        first, end = self.seeds or default_seeds(scenario, EARTHQUAKES)
+        quakes = seeded_earthquakes(scenario, first, end)
         folder = self.results_folder("bound")
         with progress_bar() as bar:
             task = bar.add_task(f"bound, {scenario.name}", total=1.0)
@@ -67,14 +68,14 @@ class Bound(FolderOptions):
         ]
         heading = ("earthquake", "bound", result["reference"], "ratio", "starts differ", "time")
         print_table(console, heading, rows)
+        for note in disagreement_note(result["disagreements"]):
+            console.print(note.replace("**", ""), highlight=False)
         causal = result["causal_bound"]
         console.print(f"causal bound: {causal['text']}", highlight=False)
         if folder is not None:
-            from agents.evaluation.bound import seeded_earthquakes
+            from agents.evaluation.bound_store import best_episodes
             from agents.reporting.figures.bound import draw_optimum
-            from baselines.planning.bound import optimal_episodes
 
-            quakes = seeded_earthquakes(scenario, first, first + 1)
-            for path in draw_optimum(optimal_episodes(scenario, quakes)[0], folder):
+            for path in draw_optimum(best_episodes(scenario, quakes[:1])[0], folder):
                 console.print(f"wrote {path}")
         return result

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +17,14 @@ from agents.cli.command_options import FolderOptions
 from agents.motions.channels import MotionOptions, motion_earthquakes
 from agents.progress import progress_bar
 from agents.scenario_options import ScenarioOptions
+from shake_env.errors import ParameterError, RecordError, unknown
+from shake_env.motion.targets import FilteredNoise, MotionSet, control_steps
+from shake_env.records import RECORD_NAMES
+from shake_env.rollout import Earthquake, recorded_earthquakes
+from shake_env.scenario.scenario import Scenario
+
+SEARCH_TIME = 0.5  # [s] of processor time that a second of motion takes, about, with friction
+LONG, LONGEST = 300.0, 1200.0  # [s] of motion: the expected time is told, a plan is refused
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +32,9 @@ class Plan(FolderOptions):
     """Plan a whole record before its test: the optimal currents on the nominal table, with feedback.
 
     Writes one file a channel with the currents, the signals to expect and the feedback along them, and
-    its figure. The controller `planned` does the same for the earthquakes that it is given.
+    its figure. The controller `planned` does the same for the earthquakes that it is given. A file is
+    played from Python: PlannedControl(scenario, [RecordPlan.read(file)]), both of
+    baselines.planning.planned, is a controller; docs/planning.md has an example.
 
     Try:
       shake plan napa2014_68150_hne
@@ -39,20 +50,40 @@ class Plan(FolderOptions):
         default_factory=MotionOptions
     )
 
+    def earthquakes(self, scenario: Scenario, console: Console) -> list[Earthquake]:
+        """Return what is planned: the embedded record, or every channel of the file.
+
+        Raises
+        ------
+        ParameterError
+            If an option of files is given with the name of an embedded record.
+        RecordError
+            If there is neither a record nor a file of that name, or the file cannot be read.
+        """
+        if self.record not in RECORD_NAMES:
+            file = Path(self.record)
+            if not file.suffix and not file.exists():
+                known = unknown(RecordError, "record", self.record, RECORD_NAMES)
+                raise RecordError("record", self.record, f"is no file; {known.remedy}")
+            return motion_earthquakes([file], self.motion_options, scenario, scale=True, console=console)
+        for option in fields(MotionOptions):
+            value = getattr(self.motion_options, option.name)
+            if value != option.default:
+                remedy = f"applies to files; {self.record} is embedded, prepared as the scenario says"
+                raise ParameterError(f"--{option.name.replace('_', '-')}", value, remedy)
+        own = [quake for quake in recorded_earthquakes(scenario) if quake.name == self.record]
+        # The motions of a scenario can be others: then it is taken as by one of filtered noise.
+        plain = replace(scenario, motion=FilteredNoise())
+        return own or [quake for quake in recorded_earthquakes(plain) if quake.name == self.record]
+
     def run(self, console: Console) -> dict[str, Any]:
         """Plan, write, draw."""
         from agents.reporting.figures.bound import draw_plan
         from baselines.planning.planned import plan_records
-        from shake_env.records import RECORD_NAMES
-        from shake_env.rollout import recorded_earthquakes
 
         scenario = self.scenario.build()
-        if self.record in RECORD_NAMES:
-            quakes = [q for q in recorded_earthquakes(scenario) if q.name == self.record]
-        else:
-            quakes = motion_earthquakes(
-                [Path(self.record)], self.motion_options, scenario, scale=True, console=console
-            )
+        quakes = self.earthquakes(scenario, console)
+        check_durations(quakes, scenario, console)
         folder = self.results_folder("plan")
         with progress_bar() as bar:
             task = bar.add_task(f"plan, {self.record}", total=1.0)
@@ -94,3 +125,27 @@ class Plan(FolderOptions):
                 for path in drawn:
                     console.print(escape(f"wrote {path}"))
         return result
+
+
+def check_durations(quakes: Sequence[Earthquake], scenario: Scenario, console: Console) -> None:
+    """Print how long planning takes if that is long.
+
+    Raises
+    ------
+    ParameterError
+        If an earthquake is longer than `LONGEST`.
+    """
+    durations = {
+        quake.name: control_steps(quake.motion, scenario.control_period, scenario.physics_step)
+        * scenario.control_period
+        for quake in quakes
+        if not isinstance(quake.motion, MotionSet)
+    }
+    name = max(durations, key=lambda each: durations[each])
+    minutes = SEARCH_TIME * sum(durations.values()) / 60.0
+    expected = f"planning takes about {minutes:.0f} min of processor time"
+    if durations[name] > LONGEST:
+        remedy = f"lasts {durations[name]:.0f} s ({expected}): cut it to {LONGEST:.0f} s at most"
+        raise ParameterError("record", name, remedy)
+    if sum(durations.values()) > LONG:
+        console.print(f"{sum(durations.values()):.0f} s of motion: {expected}", highlight=False)

@@ -74,6 +74,31 @@ def test_damaged_and_absent_caches_cost_only_time(searched, monkeypatch, tmp_pat
     assert len(searched) == 6
 
 
+def test_an_earthquake_that_is_too_strong_for_the_starting_laws_is_searched_from_gentler_ones(searched):
+    smooth = {"nonlinearity.friction.coulomb": 0.0}  # the search then needs no smoother plants
+    scenario = make_scenario("laboratory", {"duration": 1.5, "amplitude": 40.0, "fields": smooth})
+    quakes = noise_earthquakes(scenario, 1, 4_000_000)
+    found = earthquake_bounds(scenario, quakes)
+    assert not found.reason and np.isfinite(found.costs).all()
+    (episode,) = found.episodes
+    assert len(episode.starts) == 5 and sum(start.feasible for start in episode.starts) >= 2
+    assert found.costs[0] == min(start.cost for start in episode.starts if start.feasible)
+    assert episode.seconds == sum(start.seconds for start in episode.starts)
+    number = len(searched)
+    assert earthquake_bounds(scenario, quakes).episodes == found.episodes and len(searched) == number
+
+
+def test_earthquakes_that_no_current_survives_are_named(monkeypatch):
+    scenario = make_scenario("laboratory", SHORT)
+    quakes = noise_earthquakes(scenario, 7, 4_000_000)
+    fine, lost = bound_store.EpisodeBound(1.0, ()), bound_store.EpisodeBound(np.inf, ())
+    monkeypatch.setattr(bound_store, "_batch", lambda *given: [fine, *[lost] * 6])
+    found = earthquake_bounds(scenario, quakes)
+    assert not found.episodes
+    assert "on noise 4000001, noise 4000002" in found.reason and "4000005 and 1 more" in found.reason
+    assert "smaller amplitude" in found.reason
+
+
 def test_without_numba_there_is_a_reason(monkeypatch):
     monkeypatch.setattr("baselines.planning.model.compiled_module", lambda name: None)
     scenario = make_scenario("linear", SHORT)

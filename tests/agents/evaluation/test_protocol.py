@@ -194,6 +194,9 @@ def test_a_cost_below_the_bound_is_reported_unless_the_starts_explain_it():
     below = below_bound(cost, [1.0, 1.0, 2.0], [0.02, 0.02, 0.0])
     assert [(each["run"], each["earthquake"]) for each in below] == [(0, 0), (1, 2)]
     assert [each["ratio"] for each in below] == pytest.approx([0.9, 0.95])
+    # Starts that disagree widely do not hide that their bound fails.
+    below = below_bound([[0.98, 0.995, 0.5]], [1.0, 1.0, 1.0], [0.1, 0.1, np.inf])
+    assert [each["earthquake"] for each in below] == [0, 2]
 
 
 def test_no_regret_is_told_where_there_is_none():

@@ -6,9 +6,12 @@ import shutil
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from agents.__main__ import main
+from agents.motions.channels import MotionOptions
 from agents.motions.motion_set import read_motion_set
+from shake_env import make_scenario
 from shake_env.errors import FileError
 
 DATA = Path(__file__).parents[2] / "data" / "CICLC_trimmed.v1"
@@ -98,6 +101,36 @@ def test_a_manifest_is_whole(folder):
     (folder / "motions.toml").unlink()
     with pytest.raises(FileError, match="describe the records in it"):
         read_motion_set(folder)
+
+
+def test_a_file_is_in_a_set_once(folder):
+    table = folder / "two.csv"
+    whole, column = entry(table, units="g"), entry(table, column="2")
+    shutil.copy(table, folder / "copy.csv")
+    for entries in ((whole, column), (column, whole), (whole, entry(folder / "copy.csv"))):
+        write(folder, *entries)
+        with pytest.raises(FileError, match=r"motion 2.file.*named twice, see motion 1; .*every column"):
+            read_motion_set(folder)
+    write(folder, column, column)
+    with pytest.raises(FileError, match=r"motion 2.file.*named twice, see motion 1$"):
+        read_motion_set(folder)
+    write(folder, column, entry(table, column="3"))
+    assert len(read_motion_set(folder).motions) == 2
+
+
+def test_a_column_by_its_title_and_by_its_number_is_one(folder):
+    table = folder / "two.csv"
+    title = "acceleration [m/s^2]"
+    write(folder, entry(table, column="2"), entry(table, column=title))
+    known = read_motion_set(folder)
+    with pytest.raises(FileError, match=r"motion 2 of mine = .*has the samples of motion 1"):
+        known.earthquakes(MotionOptions(), make_scenario("linear"), scale=True, console=Console())
+
+
+def test_the_manifest_may_be_named_for_its_folder(folder):
+    assert read_motion_set(folder / "motions.toml") == read_motion_set(folder)
+    with pytest.raises(FileError, match=r"two.csv.*is no folder: name the folder"):
+        read_motion_set(folder / "two.csv")
 
 
 def test_a_set_and_single_motions_are_not_mixed(folder, capsys):

@@ -74,8 +74,13 @@ def test_friction_and_bulk_modulus_are_found():
 
 
 def test_it_refuses_what_it_cannot_identify():
-    with pytest.raises(ScenarioError, match="uncertainty"):
+    with pytest.raises(ScenarioError, match="uncertainty = 'none': no parameter is drawn"):
         AdaptivePredictiveControl(make_scenario("laboratory"))
+    fields = {"uncertainty.delay": Uniform(1.5, 3.5)}
+    words = r"uncertainty = 'delay': is not estimated: draw one of mass_ratio, .*bulk_modulus.*nmpc"
+    with pytest.raises(ScenarioError, match=words) as raised:
+        AdaptivePredictiveControl(make_scenario("laboratory", {"fields": fields}))
+    assert "storey_factor" not in raised.value.remedy
     fields = {"uncertainty.mass_ratio": Uniform(0.1, 1.0)}
     with pytest.raises(ScenarioError, match="yielding"):
         AdaptivePredictiveControl(make_scenario("yielding", {"fields": fields}))

@@ -163,7 +163,7 @@ def test_the_hard_limits_hold_where_tracking_would_break_them():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["linear", "friction", "laboratory", "yielding", "unknown-specimen", "records"]
+    "name", ["linear", "friction", "laboratory", "yielding", "unknown-specimen", "field", "records"]
 )
 def test_the_bound_of_all_test_earthquakes(name):
     """Every test earthquake: no controller below it, starts within a percent, within the time."""
@@ -174,8 +174,10 @@ def test_the_bound_of_all_test_earthquakes(name):
     costs = np.array([each.cost for each in found])
     assert np.isfinite(costs).all()
     assert max(each.disagreement for each in found) < 0.01
-    allowed = {"linear": 0.5, "yielding": 0.5, "unknown-specimen": 0.5, "records": 6.0}.get(name, 2.0)
-    seconds = [start.seconds for each in found[1:] for start in each.starts]
+    goal = {"linear": 0.5, "yielding": 0.5, "unknown-specimen": 0.5, "records": 6.0, "field": 6.0}
+    allowed = goal.get(name, 2.0)  # `field`, which has no goal of its own: that of a record
+    # Of an earthquake, all its starts; the first one compiles.
+    seconds = [sum(start.seconds for start in each.starts) for each in found[1:]]
     assert np.median(seconds) < allowed
     for controller in ("lqr", "preview-lqr", "lqg", "mpc"):
         try:

@@ -90,10 +90,73 @@ def test_a_plan_is_read_as_it_was_written(planned, tmp_path):
     again = RecordPlan.read(tmp_path / "plan.npz")
     assert (again.name, again.digest, again.cost) == (plan.name, plan.digest, plan.cost)
     assert all(np.array_equal(getattr(again, each), getattr(plan, each)) for each in ARRAYS)
-    (tmp_path / "other.npz").write_bytes(b"no plan")
-    for missing in ("other.npz", "none.npz"):
-        with pytest.raises(FileError, match="shake plan"):
-            RecordPlan.read(tmp_path / missing)
+
+
+def tiny_plan():
+    return RecordPlan(
+        "tiny", "1:0", 1.0, np.ones(3), np.ones((4, 9)), np.ones((3, 10)), np.ones((3, 9)),
+        np.ones((3, 5)), np.ones((3, 5)),
+    )  # fmt: skip
+
+
+def test_what_is_no_whole_plan_is_refused_with_file_and_remedy(tmp_path):
+    tiny_plan().write(tmp_path / "plan.npz")
+    whole = (tmp_path / "plan.npz").read_bytes()
+    rng = np.random.default_rng(0)
+    damaged = [b"", b"no plan", *(whole[:n] for n in range(1, len(whole), 97))]
+    for _ in range(300):
+        changed = bytearray(whole)
+        for place in rng.integers(len(whole), size=3):
+            changed[place] ^= int(rng.integers(1, 256))
+        damaged.append(bytes(changed))
+    np.save(tmp_path / "one.npy", np.ones(3))
+    damaged.append((tmp_path / "one.npy").read_bytes())
+    refused = 0
+    for content in damaged:
+        (tmp_path / "other.npz").write_bytes(content)
+        try:
+            RecordPlan.read(tmp_path / "other.npz")  # a changed date or attribute harms nothing
+        except FileError as error:
+            refused += 1
+            assert "other.npz" in str(error) and "by shake plan" in error.remedy
+    assert refused > 0.8 * len(damaged)
+    with pytest.raises(FileError, match="shake plan"):
+        RecordPlan.read(tmp_path / "none.npz")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"current": np.ones(2)}, "state has shape"),
+        ({"gain": np.ones((3, 8))}, "gain has shape"),
+        ({"response": np.ones((3, 5))}, "response has shape"),
+        ({"shear": np.full((3, 5), np.nan)}, "no finite numbers"),
+        ({"current": np.ones((3, 1))}, "other dimensions"),
+    ],
+)
+def test_arrays_that_do_not_fit_together_are_no_plan(tmp_path, changes, words):
+    replace(tiny_plan(), **changes).write(tmp_path / "plan.npz")
+    with pytest.raises(FileError, match=words):
+        RecordPlan.read(tmp_path / "plan.npz")
+
+
+def test_a_plan_is_played_with_other_sensors_preview_and_motions(planned):
+    _, quakes, plans = planned
+    for name, fields in (
+        ("records", {}),
+        ("laboratory", {"sensing.preview_spacing": 0.005, "sensing.preview": 0.05}),
+        ("field", {}),
+    ):
+        other = make_scenario(name, {"fields": fields})
+        if name == "field":  # its nominal table is another one
+            with pytest.raises(ParameterError, match="another table"):
+                PlannedControl(other, plans)
+            continue
+        PlannedControl(other, plans)
+    # With the full state shown, the estimate, and so the feedback, is as good.
+    seen = make_scenario("laboratory", {"duration": 5.0, "sensing": "full"})
+    costs = driven(PlannedControl(seen, plans), seen, quakes)[1]
+    assert (np.array(costs) < 1.1 * np.array([plan.cost for plan in plans])).all()
 
 
 def test_a_plan_is_of_one_table(planned):

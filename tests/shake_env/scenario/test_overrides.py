@@ -58,6 +58,11 @@ def test_one_list_of_a_specimen_decides_the_number_of_storeys():
         make_scenario(uneven, {"fields": {"specimen.masses": [1.0, 2.0]}})
 
 
+def test_a_name_of_results_says_which_scenario_it_stands_for():
+    with pytest.raises(ScenarioError, match=r"linear with --set nonlinearity.*=300; .*known"):
+        make_scenario("friction")
+
+
 def test_fields_of_a_part_are_checked_together():
     fields = {"nonlinearity.friction.static": 90.0, "nonlinearity.friction.coulomb": 50.0}
     friction = make_scenario("laboratory", {"fields": fields}).nonlinearity.friction
