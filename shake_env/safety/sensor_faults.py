@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +31,7 @@ class Channels:
     names: tuple[str, ...]  # s signals
     places: NDArray[np.intp]  # (s,) in the observation
     scale: FloatArray  # (s,) SI, of the observation's entries
-    noise: FloatArray  # (s,) rms of a reading's error, SI
+    noise: FloatArray  # (s,) rms of a reading's error, SI; a gain's at a third of the signal's limit
     cutoff: float  # [Hz] of the accelerometer's low-pass; infinite: none
     reach: FloatArray  # (s,) largest credible reading, SI; infinite where nothing limits it
     rarity: FloatArray  # (s,) -log10 of the chance that two readings in a row are equal; 0: certain
@@ -38,7 +39,7 @@ class Channels:
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> Channels:
         """Return the channels of a scenario that shows all four readings of x_A."""
-        layout, limits = scenario.observation, scenario.limits
+        layout = scenario.observation
         names = sorted(STATE_SIGNALS, key=STATE_SIGNALS.__getitem__)
         cutoff = math.inf
         if layout.sensing.full_state:
@@ -51,20 +52,19 @@ class Channels:
                 names.append(ACCELERATION)
             at = np.asarray([layout.reading_names.index(name) for name in names])
             places, scale = layout.readings.start + at, layout.reading_scale[at]
-            white, bias, step = (
-                layout.sensor_values(name)[at] for name in ("noise", "bias", "resolution")
+            white, bias, step, gain = (
+                layout.sensor_values(name)[at] for name in ("noise", "bias", "resolution", "gain_error")
             )
-            noise = np.sqrt(white**2 + bias**2 + step**2 / 12.0)
+            usual = np.asarray(
+                [scale[i] if v is None else v / 3.0 for i, v in enumerate(_most(scenario, names))]
+            )
+            noise = np.sqrt(white**2 + bias**2 + (gain * usual) ** 2 + step**2 / 12.0)
             rarity = np.where(white > 0.0, _rarity(white, step), 0.0)
             if ACCELERATION in names:
                 cutoff = float(layout.sensor_values("lowpass_frequency")[at[-1]])
-        spool = min(
-            scenario.nonlinearity.valve.spool_limit,
-            scenario.actuator.valve_gain * scenario.current_limit,
+        reach = np.asarray(
+            [math.inf if value is None else RANGE * value for value in _most(scenario, names)]
         )
-        own = {"spool_position": spool}
-        most = [own.get(name, getattr(limits, name, None)) for name in names]
-        reach = np.asarray([math.inf if value is None else RANGE * value for value in most])
         return cls(tuple(names), places, scale, noise, cutoff, reach, rarity)
 
     def incredible(
@@ -93,6 +93,16 @@ class Channels:
         together = (same * self.rarity).sum(axis=1) >= rare
         stuck = (equal * self.rarity >= rare) | (same & together[:, None])
         return impossible | stuck, same, equal
+
+
+def _most(scenario: Scenario, names: Sequence[str]) -> list[float | None]:
+    """Return the largest value of each signal, SI: its hard limit or the valve's; None: none."""
+    spool = min(
+        scenario.nonlinearity.valve.spool_limit,
+        scenario.actuator.valve_gain * scenario.current_limit,
+    )
+    own = {"spool_position": spool}
+    return [own.get(name, getattr(scenario.limits, name, None)) for name in names]
 
 
 def _rarity(noise: FloatArray, resolution: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shake_env.model.parameters import FloatArray
-from shake_env.model.plant import LOAD_PRESSURE, TABLE_DISPLACEMENT, TABLE_VELOCITY
+from shake_env.model.plant import LOAD_PRESSURE, SPOOL_POSITION, TABLE_DISPLACEMENT, TABLE_VELOCITY
 from shake_env.safety.braking import ACTUATOR, bare_table
 from shake_env.safety.sensor_faults import Channels
 from shake_env.scenario.limits import Limits
@@ -30,6 +30,9 @@ STATES = ACTUATOR + 1  # x_A and the force; then the output of the accelerometer
 GATE = 36.0  # [-] chi-square of all innovations, above which a reading is at fault
 GAIN_ERROR = 0.2  # [-] rms error of valve gain and bulk modulus; 30 % is one and a half of it
 DELAY_ERROR = 0.3  # [-] of a control period
+# [-] of the full spool: error of a period's prediction where the valve is of second order; the bare
+# table has its spool follow a current at first order.
+SECOND_ORDER = 0.02
 FORCE_STEP = 0.1  # [-] of table mass times the acceleration's limit: change of the force in a period
 ROUNDING = 1e-4  # [-] of a laboratory's full scale: error of a reading without noise
 START = 0.01  # [m] rms displacement of a table when an episode begins
@@ -114,6 +117,9 @@ class TableStateObserver:
         A = A * size / size[:, None]
         push = np.where(np.arange(len(A)) == ACTUATOR, 0.0, A[:, ACTUATOR])  # of a force held over it
         step = FORCE_STEP * (0.5 * push + np.eye(len(A))[ACTUATOR])
+        spool_error = SECOND_ORDER * np.eye(len(A))[SPOOL_POSITION]
+        if scenario.nonlinearity.valve.natural_frequency is None:
+            spool_error = 0.0 * spool_error
         return cls(
             channels=channels,
             size=size,
@@ -123,7 +129,7 @@ class TableStateObserver:
             current=current / size[:, None],
             C=C * size / unit[:, None],
             R=np.square(noise),
-            Q=np.outer(step, step),
+            Q=np.outer(step, step) + np.diag(spool_error**2),
             gain_error=_error(uncertain.valve_gain, actuator.valve_gain),
             delay_error=_delay_error(scenario),
             oil=_error(uncertain.bulk_modulus, actuator.bulk_modulus)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from agents.policies.registry import get_controller
 from agents.studies.hostile_controllers import Hostile
 from baselines.lqr.sampled import lqr
 from shake_env import Limits, NoControl, Sensing, Sensor, Supervised, Uncertainty, Uniform, make_scenario
@@ -71,7 +72,8 @@ def scenario_of(name):
     if name == "linear":
         return make_scenario("linear", {"limits": "laboratory"})
     scenario = make_scenario(name)
-    return scenario if name == "yielding" else replace(scenario, uncertainty=UNKNOWN)
+    own = name in ("yielding", "field")
+    return scenario if own else replace(scenario, uncertainty=UNKNOWN)
 
 
 def attack(name, lanes, seed, steps):
@@ -97,7 +99,7 @@ def test_braking_reaches_its_bound_and_no_further_on_the_plant_that_it_knows():
             assert peaks[0, place] > 0.98 * shares[place]
 
 
-@pytest.mark.parametrize("name", ["laboratory", "unknown-specimen", "yielding", "linear"])
+@pytest.mark.parametrize("name", ["laboratory", "unknown-specimen", "yielding", "linear", "field"])
 def test_hostile_controllers_break_no_limit(name):
     code, peaks, interventions = attack(name, 90, 3, 300)
     assert not code.any()
@@ -120,7 +122,7 @@ def test_ten_thousand_hostile_controllers_in_the_laboratory(batch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["unknown-specimen", "yielding", "linear", "records"])
+@pytest.mark.parametrize("name", ["unknown-specimen", "yielding", "linear", "records", "field"])
 def test_a_thousand_hostile_controllers_in_every_other_scenario(name):
     for batch in range(2):
         code, _, _ = attack(name, 500, 6000 + batch, 600)
@@ -256,3 +258,20 @@ def test_a_table_that_braking_does_not_stop_is_refused():
     )
     with pytest.raises(NumericalError, match="spectral radius"):
         Supervised(NoControl(), scenario)
+
+
+def test_a_table_that_differs_from_the_model_within_its_spreads_is_left_alone():
+    """Gain errors of sensors and a valve of second order are no sensor faults."""
+    scenario = make_scenario("field", {"duration": 8.0})
+    quakes = noise_earthquakes(scenario, 12, 3_000_000)
+    policy = get_controller("dagger-apg", scenario)
+    free, _ = rollout(policy, scenario, quakes, record=())
+    supervised = Supervised(policy, scenario)
+    kept, _ = rollout(supervised, scenario, quakes, record=())
+    acted = supervised.interventions()
+    assert acted.share < 1e-3 and sum(count.sum() for count in acted.faults.values()) <= 2
+    ratio = np.mean([each.cost for each in kept]) / np.mean([each.cost for each in free])
+    assert ratio < 1.001
+    # A controller that asks for all of the current is still held within every limit.
+    wild, _ = rollout(Supervised(Constant(1.0), scenario), scenario, quakes, record=())
+    assert [each.broken_limit for each in wild] == [None] * len(quakes)
