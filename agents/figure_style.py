@@ -49,14 +49,25 @@ CONTROLLERS: tuple[dict[str, Any], ...] = (
     {"color": GREEN, "linestyle": (0, (6, 2, 1, 2)), "marker": "D"},
     {"color": "#A5527F", "linestyle": (0, (9, 3)), "marker": "v"},  # purple, dark enough for white paper
     {"color": "#9C6B00", "linestyle": (0, (9, 2, 2, 2)), "marker": "X"},  # orange, likewise
+    {"color": "#2F8FC4", "linestyle": (0, (2, 2)), "marker": "P"},  # sky, likewise
+    {"color": "#D0417E", "linestyle": (0, (4, 1.5, 1, 1.5, 1, 1.5)), "marker": "*"},
 )
 # The same for plotly, which names dash patterns and markers its own way.
 PLOTLY: tuple[dict[str, str], ...] = tuple(
     {"color": style["color"], "dash": dash, "symbol": symbol}
     for style, dash, symbol in zip(
         CONTROLLERS,
-        ("solid", "5px,2px", "1.5px,2px", "7px,2px,1.5px,2px", "10px,3px", "10px,2px,3px,2px"),
-        ("circle", "square", "triangle-up", "diamond", "triangle-down", "x"),
+        (
+            "solid",
+            "5px,2px",
+            "1.5px,2px",
+            "7px,2px,1.5px,2px",
+            "10px,3px",
+            "10px,2px,3px,2px",
+            "3px,3px",
+            "5px,2px,1.5px,2px,1.5px,2px",
+        ),
+        ("circle", "square", "triangle-up", "diamond", "triangle-down", "x", "cross", "star"),
         strict=True,
     )
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import cycle
 from os import PathLike
 from pathlib import Path
@@ -30,6 +31,7 @@ from agents.figure_style import (
 from agents.reporting.robustness_tables import Point, controller_label, point_at, sweep_points
 from shake_env.model.parameters import FloatArray
 
+WIDEST = 5  # maps side by side whose numbers can be read
 LEAST, MOST = 0.3, 4.0  # of the relative cost that panels show; what lies beyond stands at the edge
 STRIP = 1.19  # height of a controller's row above and below, as a factor on the logarithmic axis
 SHADE = "#E4E4E4"  # training range; in maps, cells that have no ratio
@@ -164,18 +166,25 @@ def _scale(ax: Axes, quantity: dict[str, Any]) -> None:
 
 
 def _maps(result: dict[str, Any]) -> Figure:
-    """Return the maps: a row a pair, a column a controller."""
+    """Return the maps: a row a pair, a column a controller; more than five controllers in blocks."""
     shown, pairs = result["controllers"], result["maps"]
     by_name = {quantity["name"]: quantity for quantity in result["quantities"]}
-    heights = [len(pair["ys"]) + 1.6 for pair in pairs]
+    blocks = math.ceil(len(shown) / WIDEST)
+    columns = math.ceil(len(shown) / blocks)
+    heights = [len(pair["ys"]) + 1.6 for pair in pairs] * blocks
     with figure_style():
         figure = new_figure(8.0, 0.7 + 0.36 * sum(heights))
         panels = figure.subplots(
-            len(pairs), len(shown), squeeze=False, gridspec_kw={"height_ratios": heights}
+            len(heights), columns, squeeze=False, gridspec_kw={"height_ratios": heights}
         )
-        for number, (row, pair) in enumerate(zip(panels, pairs, strict=True)):
+        for number, row in enumerate(panels):
+            block, pair = columns * (number // len(pairs)), pairs[number % len(pairs)]
             x, y = by_name[pair["x"]], by_name[pair["y"]]
-            for i, (ax, each) in enumerate(zip(row, shown, strict=True)):
+            for i, ax in enumerate(row):
+                if block + i >= len(shown):
+                    ax.set_axis_off()
+                    continue
+                each = shown[block + i]
                 _map(ax, result, pair, each["name"])
                 ax.set_xticks(range(len(pair["xs"])), [f"{value:.3g}" for value in pair["xs"]])
                 ax.set_yticks(range(len(pair["ys"])), [f"{value:.3g}" for value in pair["ys"]])
@@ -185,7 +194,7 @@ def _maps(result: dict[str, Any]) -> Figure:
                     ax.set_ylabel(_short(y), fontsize=8.0)
                 else:
                     ax.set_yticklabels([])
-                if number == 0:
+                if number % len(pairs) == 0:
                     ax.set_title(controller_label(each))
         figure.suptitle(
             f"cost / {result['reference']}; framed: made for; x: lost tests; "
