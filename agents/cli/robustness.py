@@ -59,7 +59,7 @@ class Robustness(FolderOptions):
         default_factory=ExecutionOptions
     )
     all: bool = False
-    """Renew docs/robustness.md: every scenario on it with its results and figures, three quarters of an hour.
+    """Renew docs/robustness.md: every scenario on it with its results and figures, 45 minutes.
     A scenario is skipped where policies and settings are unchanged and every controller has its
     earlier cost on the unperturbed scenario."""
     rerun: bool = False
