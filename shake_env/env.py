@@ -86,7 +86,7 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     |---|---|---|---|
     | linear | lqr | -0.2088 | -417.6 |
     | linear | none | -2.017 | -4035 |
-    | laboratory | lqg | -0.002025 | -4.051 |
+    | laboratory | lqg | -0.002029 | -4.059 |
     | laboratory | none | -0.08243 | -164.9 |
 
     In ``linear`` no controller has a higher expected reward than LQR's, -0.2085 per step in the

@@ -80,7 +80,8 @@ class RecordPlan:
             If there is no such file, it is none of these, or it is not whole.
         """
         try:
-            with np.load(io.BytesIO(Path(file).read_bytes()), allow_pickle=False) as held:
+            content = io.BytesIO(Path(file).read_bytes())
+            with np.load(content, allow_pickle=False) as held:
                 if not isinstance(held, np.lib.npyio.NpzFile):
                     raise ValueError("one array")
                 arrays = {name: np.asarray(held[name], dtype=float) for name in ARRAYS}

@@ -45,7 +45,7 @@ def test_packaged_values_belong_to_the_named_scenarios_as_they_stand():
     named = {scenario_digest(make_scenario(name)): name for name in SCENARIO_NAMES}
     for each in packaged_values().entries:
         assert named[each.digest] == each.scenario, each.controller
-    assert len(packaged_values().entries) == 59
+    assert len(packaged_values().entries) == 61
 
 
 @pytest.mark.parametrize("name", ["lqg", "tvc", "pid", "inverse-ff-tvc", "lqg-searched"])
