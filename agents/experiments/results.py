@@ -97,7 +97,8 @@ def _read(file: Path, task: EvaluationTask) -> dict[str, Any]:
 def _holds(row: Entry, result: dict[str, Any], scenario: Scenario) -> bool:
     """Return whether a known row is this one's: the same rival, or policies that it was made of.
 
-    A row of all its policies also has the figures within the safety supervisor, where it applies.
+    A row of all its policies also has the figures within the safety supervisor over the bounds as they
+    are now, where the supervisor applies.
 
     Raises
     ------
@@ -114,7 +115,8 @@ def _holds(row: Entry, result: dict[str, Any], scenario: Scenario) -> bool:
     there = Counter(known["rows"][row.name])
     if here == there:
         figures = next(each for each in result["rows"] if each["controller"] == row.name)
-        return "supervised" in figures or not can_supervise(scenario)
+        current = "supervised" in figures and result["bound"]["code"] == search_code()
+        return current or not can_supervise(scenario)
     if here <= there:
         return True
     if there <= here or here.total() >= there.total():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,14 +38,14 @@ class Channels:
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> Channels:
         """Return the channels of a scenario that shows all four readings of x_A."""
-        layout = scenario.observation
+        layout, limits = scenario.observation, scenario.limits
         names = sorted(STATE_SIGNALS, key=STATE_SIGNALS.__getitem__)
         cutoff = math.inf
         if layout.sensing.full_state:
             actuator = scenario.plant.layout.actuator
             places = np.arange(actuator.start, actuator.stop)
             scale = scenario.plant.state_scale[actuator]
-            noise = rarity = np.zeros(len(names))
+            noise = rarity = gain = np.zeros(len(names))
         else:
             if ACCELERATION in layout.reading_names:
                 names.append(ACCELERATION)
@@ -55,16 +54,20 @@ class Channels:
             white, bias, step, gain = (
                 layout.sensor_values(name)[at] for name in ("noise", "bias", "resolution", "gain_error")
             )
-            usual = np.asarray(
-                [scale[i] if v is None else v / 3.0 for i, v in enumerate(_most(scenario, names))]
-            )
-            noise = np.sqrt(white**2 + bias**2 + (gain * usual) ** 2 + step**2 / 12.0)
+            noise = np.sqrt(white**2 + bias**2 + step**2 / 12.0)
             rarity = np.where(white > 0.0, _rarity(white, step), 0.0)
             if ACCELERATION in names:
                 cutoff = float(layout.sensor_values("lowpass_frequency")[at[-1]])
-        reach = np.asarray(
-            [math.inf if value is None else RANGE * value for value in _most(scenario, names)]
+        spool = min(
+            scenario.nonlinearity.valve.spool_limit,
+            scenario.actuator.valve_gain * scenario.current_limit,
         )
+        own = {"spool_position": spool}
+        most = [own.get(name, getattr(limits, name, None)) for name in names]
+        reach = np.asarray([math.inf if value is None else RANGE * value for value in most])
+        # A gain error counts as that of a signal whose rms is a third of its limit.
+        usual = np.where(np.isfinite(reach), reach / (3.0 * RANGE), scale)
+        noise = np.hypot(noise, gain * usual)
         return cls(tuple(names), places, scale, noise, cutoff, reach, rarity)
 
     def incredible(
@@ -93,16 +96,6 @@ class Channels:
         together = (same * self.rarity).sum(axis=1) >= rare
         stuck = (equal * self.rarity >= rare) | (same & together[:, None])
         return impossible | stuck, same, equal
-
-
-def _most(scenario: Scenario, names: Sequence[str]) -> list[float | None]:
-    """Return the largest value of each signal, SI: its hard limit or the valve's; None: none."""
-    spool = min(
-        scenario.nonlinearity.valve.spool_limit,
-        scenario.actuator.valve_gain * scenario.current_limit,
-    )
-    own = {"spool_position": spool}
-    return [own.get(name, getattr(scenario.limits, name, None)) for name in names]
 
 
 def _rarity(noise: FloatArray, resolution: FloatArray) -> FloatArray:

@@ -117,9 +117,8 @@ class TableStateObserver:
         A = A * size / size[:, None]
         push = np.where(np.arange(len(A)) == ACTUATOR, 0.0, A[:, ACTUATOR])  # of a force held over it
         step = FORCE_STEP * (0.5 * push + np.eye(len(A))[ACTUATOR])
-        spool_error = SECOND_ORDER * np.eye(len(A))[SPOOL_POSITION]
-        if scenario.nonlinearity.valve.natural_frequency is None:
-            spool_error = 0.0 * spool_error
+        second_order = scenario.nonlinearity.valve.natural_frequency is not None
+        spool_error = SECOND_ORDER * second_order * np.eye(len(A))[SPOOL_POSITION]
         return cls(
             channels=channels,
             size=size,

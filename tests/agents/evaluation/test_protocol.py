@@ -163,7 +163,11 @@ def test_policies_have_a_row_within_the_supervisor_where_it_applies(result, scen
     # Full current for a whole test: the supervisor has to act, and keeps the table.
     entry = find_entry("dagger-apg", realistic)
     wild = replace(entry.policies[0], biases=(*entry.policies[0].biases[:-1], np.array([400.0])))
-    rows = [replace(entry, name="mine"), Entry("wild", (replace(wild, authority=1.0),), entry.sources)]
+    rows = [
+        Entry("none"),
+        replace(entry, name="mine"),
+        Entry("wild", (replace(wild, authority=1.0),), entry.sources),
+    ]
     evaluated = evaluate(realistic, rows, earthquakes=2, repeats=False, resamples=20)
     by_name = {row["controller"]: row for row in evaluated["rows"]}
     mine, lost = by_name["mine"], by_name["wild"]
@@ -177,6 +181,12 @@ def test_policies_have_a_row_within_the_supervisor_where_it_applies(result, scen
     assert mine["supervised"]["acted"] < 0.01 < lost["supervised"]["acted"]
     text = evaluation_markdown(evaluated)
     assert "supervised: cost, failures, changed %" in text and ", 0 of 2, " in text
+    # A row that is kept keeps them as long as the bounds are the same.
+    for code, kept in ((evaluated["bound"]["code"], True), ("of another search", False)):
+        known = evaluated | {"bound": evaluated["bound"] | {"code": code}}
+        options = {"earthquakes": 2, "repeats": False, "resamples": 20, "known": known}
+        later = evaluate(realistic, [], **options)
+        assert [("supervised" in row) for row in later["rows"] if row["controller"] == "mine"] == [kept]
     # The linear table has no limits to keep.
     assert "supervised" not in evaluation_markdown(result) and not can_supervise(scenario)
 
