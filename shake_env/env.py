@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from shake_env.errors import NumericalError, ScenarioError
 from shake_env.kernels.layout import BROKEN, INFO, REWARD, TERMINATED
 from shake_env.model.inputs import checked_action, checked_options, checked_seed
-from shake_env.motion.targets import Motion
+from shake_env.motion.targets import EpisodeMotion, Motion
 from shake_env.rendering.window import FRAME_RATE, RENDER_MODES, make_view, metadata
 from shake_env.scenario.limits import OBSERVATION_BOUND, REASONS
 from shake_env.scenario.overrides import Overrides, make_scenario
@@ -154,6 +154,12 @@ class ShakeTableEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.observation_space, self.action_space = single_spaces(self.scenario)
         self._simulation = Simulation(self.scenario, lanes=1)
         self._running = False
+
+    @property
+    def motion(self) -> EpisodeMotion:
+        """The motion of the episode."""
+        motion: EpisodeMotion = self._simulation.motions[0]
+        return motion
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

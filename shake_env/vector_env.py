@@ -18,6 +18,7 @@ from shake_env.errors import ParameterError, ScenarioError
 from shake_env.model.inputs import batch_action, checked_options, checked_seeds
 from shake_env.model.parameters import FloatArray
 from shake_env.model.ranges import Range, check
+from shake_env.motion.targets import EpisodeMotion
 from shake_env.scenario.limits import REASONS
 from shake_env.scenario.overrides import Overrides, make_scenario
 from shake_env.scenario.scenario import Scenario
@@ -95,6 +96,11 @@ class ShakeTableVectorEnv(
         self._streams: list[np.random.Generator | None] = [None] * self.num_envs
         self._ended = np.ones(self.num_envs, dtype=bool)  # lanes whose episode is over
         self._some_ended = True
+
+    @property
+    def motions(self) -> list[EpisodeMotion]:
+        """The motion of each lane's episode (N)."""
+        return self._simulation.motions
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None

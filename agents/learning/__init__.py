@@ -19,6 +19,10 @@ __getattr__, __all__ = names_of(
             "ScaleFreePolicy",
         ),
         "paired": ("PairedVecEnv",),
+        "plan_wrappers": (
+            "PlanVectorWrapper",
+            "PlanWrapper",
+        ),
         "sb3_env": (
             "SB3Controller",
             "compare_with_reference",

@@ -100,6 +100,16 @@ def _believed(scenario: Scenario) -> FloatArray:
     return np.vstack([matrix, row])
 
 
+def _planned(scenario: Scenario, entries: int) -> FloatArray:
+    """Return the factors (e,) on what a `PlanLaw` shows: a third each currents and two signals."""
+    motion = scenario.motion
+    current = scenario.current_limit / REFERENCE_CURRENT
+    factors = np.repeat([current, 1.0, 1.0], entries // 3)
+    if isinstance(motion, FilteredNoise) and motion.amplitude > 0.0:
+        factors /= motion.amplitude
+    return factors
+
+
 def _steep_velocity(scenario: Scenario) -> FloatArray | None:
     """Return a row that reaches the clip at twice friction's smoothing velocity; None without friction.
 
@@ -218,11 +228,16 @@ class FeatureMap:
         What is observed.
     believed
         Whether an estimator's beliefs follow the observation, as in :func:`feature_matrix`.
+    planned
+        Entries of a plan that follow the observation (`agents.policies.plan_law.PlanLaw.shown`).
     """
 
-    def __init__(self, scenario: Scenario, believed: bool = False) -> None:
-        self._matrix = feature_matrix(scenario, believed).astype(np.float32)
-        self._sizes = feature_sizes(scenario, believed).astype(np.float32)
+    def __init__(self, scenario: Scenario, believed: bool = False, planned: int = 0) -> None:
+        matrix, sizes = feature_matrix(scenario, believed), feature_sizes(scenario, believed)
+        if planned:
+            matrix = block_diag(matrix, np.diag(_planned(scenario, planned)))
+            sizes = np.concatenate([sizes, np.ones(planned)])
+        self._matrix, self._sizes = matrix.astype(np.float32), sizes.astype(np.float32)
         bound = CLIP * self._sizes
         self.space = spaces.Box(-bound, bound, dtype=np.float32)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, Unpack, cast
 
@@ -25,12 +26,28 @@ from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_law
 from agents.policies.base_names import BaseLaw
 from agents.policies.estimated_law import EstimatedLaw
+from agents.policies.plan_law import PLANNERS, PlanLaw, Planner, PlanOptions
 from agents.seeds import COMPARISON_SEED
 from baselines.registry import make_baseline, reference_name
 from shake_env.errors import ParameterError, ScenarioError
-from shake_env.rollout import noise_earthquakes, rollout
+from shake_env.model.parameters import FloatArray
+from shake_env.rollout import Earthquake, noise_earthquakes, rollout
 from shake_env.scenario.overrides import Overrides, make_scenario
 from shake_env.scenario.scenario import Scenario
+
+BaseController = BaseLaw | Planner | PlanOptions
+
+
+def _base(
+    base: BaseController, scenario: Scenario, earthquakes: Sequence[Earthquake] | None = None
+) -> FloatArray | EstimatedLaw | PlanLaw:
+    """Return the law that actions correct; a planner's name alone is a plan that they correct."""
+    if isinstance(base, PlanOptions):
+        return PlanLaw.from_options(scenario, base, earthquakes)
+    for planner in PLANNERS:
+        if base == planner:
+            return _base(PlanOptions(planner=planner, corrected=True), scenario, earthquakes)
+    return base_law(cast(BaseLaw, base), scenario)
 
 
 class VecTrackingFeatures(VecEnvWrapper):
@@ -44,10 +61,14 @@ class VecTrackingFeatures(VecEnvWrapper):
         What they simulate.
     believed
         Whether they show an estimator's beliefs behind the observation.
+    planned
+        Number of entries of a plan that they show behind it.
     """
 
-    def __init__(self, venv: VecEnv, scenario: Scenario, believed: bool = False) -> None:
-        self.features = FeatureMap(scenario, believed)
+    def __init__(
+        self, venv: VecEnv, scenario: Scenario, believed: bool = False, planned: int = 0
+    ) -> None:
+        self.features = FeatureMap(scenario, believed, planned)
         super().__init__(venv, self.features.space)
 
     def reset(self) -> NDArray[np.float32]:
@@ -73,7 +94,7 @@ def make_sb3_env(  # type: ignore[misc]  # `duration` is the episode's, and no o
     *,
     gamma: float = GAMMA,
     action_scale: float = 1.0,
-    base_controller: BaseLaw = "none",
+    base_controller: BaseController = "none",
     duration: float | None = EPISODE,
     state_limit: float = STATE_LIMIT,
     **overrides: Unpack[Overrides],
@@ -99,7 +120,9 @@ def make_sb3_env(  # type: ignore[misc]  # `duration` is the episode's, and no o
         Valve current of action 1, as a fraction of the current limit.
     base_controller
         Controller that the actions correct (`agents.policies.base_law.base_law`). What one behind an
-        estimator believes of the table is shown as well.
+        estimator believes of the table is shown as well. ``"nmpc"`` and ``"planned"`` run a planner
+        beside each table, whose plan is shown; `PlanOptions` say which periods, and whether actions
+        correct it.
     duration
         Duration of an episode of filtered noise [s]; None: the scenario's own.
     state_limit
@@ -110,7 +133,7 @@ def make_sb3_env(  # type: ignore[misc]  # `duration` is the episode's, and no o
     Raises
     ------
     ScenarioError, ParameterError
-        If the scenario is unknown, or a number is outside its range.
+        If the scenario is unknown, a number is outside its range, or a planner does not suit.
     """
     if not isinstance(num_envs, int | np.integer) or num_envs < 1:
         raise ParameterError("num_envs", num_envs, "must be a whole number of at least 1")
@@ -120,11 +143,12 @@ def make_sb3_env(  # type: ignore[misc]  # `duration` is the episode's, and no o
     tables = ShakeTableVecEnv(
         training,
         int(num_envs),
-        base=base_law(base_controller, made),
+        base=_base(base_controller, made),
         authority=checked_action_scale(action_scale),
         reward_scale=reward_scale(training, gamma),
     )
-    return VecTrackingFeatures(tables, made, tables.law is not None)
+    planned = 0 if tables.plan is None else tables.plan.shown
+    return VecTrackingFeatures(tables, made, tables.law is not None, planned)
 
 
 class PredictsLikeSB3(Protocol):
@@ -141,7 +165,7 @@ class PredictsLikeSB3(Protocol):
 
 
 class SB3Controller:
-    """An SB3 model that was trained on features, as a controller of the bare environment.
+    """An SB3 model as a controller of the bare environment, with the law that it corrects.
 
     Parameters
     ----------
@@ -151,6 +175,10 @@ class SB3Controller:
         What it drives; its motion may differ from training's.
     action_scale, base_controller
         As in training.
+    earthquakes
+        Of a roll-out on which `planned` plans, one a lane; None: the scenario's own recorded motion.
+    features
+        False: the model was trained on observations as they are, such as `PlanWrapper`'s.
 
     Raises
     ------
@@ -164,21 +192,27 @@ class SB3Controller:
         scenario: str | os.PathLike[str] | Scenario = "linear",
         *,
         action_scale: float = 1.0,
-        base_controller: BaseLaw = "none",
+        base_controller: BaseController = "none",
+        earthquakes: Sequence[Earthquake] | None = None,
+        features: bool = True,
     ) -> None:
         self.model = model
         self.action_scale = checked_action_scale(action_scale)
         made = make_scenario(find_scenario(scenario))
-        base = base_law(base_controller, made)
-        self._law = base if isinstance(base, EstimatedLaw) else None
-        self._row = None if isinstance(base, EstimatedLaw) else base
-        self._features = FeatureMap(made, self._law is not None)
-        space, expected = getattr(model, "observation_space", None), self._features.space
-        if space is not None and space.shape != expected.shape:
+        base = _base(base_controller, made, earthquakes)
+        self._law = None if isinstance(base, np.ndarray) else base
+        self._row = base if isinstance(base, np.ndarray) else None
+        planned = base.shown if isinstance(base, PlanLaw) else 0
+        map_ = FeatureMap(made, isinstance(base, EstimatedLaw), planned)
+        self._features = map_ if features else None
+        entries = made.observation.size + (0 if self._law is None else self._law.shown)
+        space = getattr(model, "observation_space", None)
+        expected = (entries,) if self._features is None else self._features.space.shape
+        if space is not None and space.shape != expected:
             raise ScenarioError(
                 "observation of the model",
                 space.shape,
-                f"the features of this scenario are {expected.shape}: train on make_sb3_env or on "
+                f"the features of this scenario are {expected}: train on make_sb3_env or on "
                 "agents.learning.wrappers.TrainingWrapper of the same scenario",
             )
 
@@ -196,15 +230,23 @@ class SB3Controller:
             own, past = (None, None) if state is None else (state[:-2] or None, state[-2:])
             age, known, shown = self._law.show_to(observation, past, episode_start)
             observation = np.concatenate([observation, shown.astype(np.float32)], axis=-1)
-        correction, own = self.model.predict(
-            self._features(observation), own, episode_start, deterministic
-        )
-        base = observation[..., -1:] if self._row is None else (observation @ self._row)[..., None]
+        seen = observation if self._features is None else self._features(observation)
+        correction, own = self.model.predict(seen, own, episode_start, deterministic)
+        base = self._own_action(observation)
         action = np.clip(base + self.action_scale * correction, -1.0, 1.0)
         if self._law is None:
             return action.astype(np.float32), own
         law_memory = self._law.keep(known, action[..., 0].astype(float))
         return action.astype(np.float32), (*(own or ()), law_memory, age + 1)
+
+    def _own_action(self, observation: NDArray[np.float32]) -> NDArray[np.floating[Any]]:
+        """Return the base controller's own action (..., 1) of what is shown."""
+        if self._row is not None:
+            return (observation @ self._row)[..., None]
+        if isinstance(self._law, PlanLaw):  # first of what it shows
+            place = -self._law.shown
+            return observation[..., place : place + 1] * np.float32(self._law.corrected)
+        return observation[..., -1:]
 
 
 @dataclass(frozen=True)
@@ -234,7 +276,7 @@ def compare_with_reference(
     scenario: str | os.PathLike[str] | Scenario = "linear",
     *,
     action_scale: float = 1.0,
-    base_controller: BaseLaw = "none",
+    base_controller: BaseController = "none",
     earthquakes: int = 32,
     seed: int = COMPARISON_SEED,
     **overrides: Unpack[Overrides],
@@ -260,7 +302,13 @@ def compare_with_reference(
     made = make_scenario(find_scenario(scenario), overrides)
     motions = noise_earthquakes(made, earthquakes, seed)
     name = reference_name(made)
-    controller = SB3Controller(model, made, action_scale=action_scale, base_controller=base_controller)
+    controller = SB3Controller(
+        model,
+        made,
+        action_scale=action_scale,
+        base_controller=base_controller,
+        earthquakes=motions,
+    )
     rows, _ = rollout(controller, made, motions)
     reference, _ = rollout(make_baseline(name, made), made, motions)
     return CostComparison(

@@ -15,7 +15,9 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from agents.learning.law_batch import LawBatch
+from agents.learning.plan_batch import PlanBatch
 from agents.policies.estimated_law import EstimatedLaw
+from agents.policies.plan_law import PlanLaw
 from shake_env.env import single_spaces
 from shake_env.model.inputs import batch_action
 from shake_env.model.parameters import FloatArray
@@ -44,7 +46,7 @@ class ShakeTableVecEnv(VecEnv):
     base
         (n,) linear law that the actions correct, fraction of the current limit per entry of the
         observation; or one behind an estimator, and what that believes is then shown behind each
-        observation; None for no such law.
+        observation; or a plan, shown likewise, which the actions correct or not; None for no such law.
     authority
         What action 1 adds to it, as a fraction of the current limit.
     reward_scale
@@ -56,16 +58,20 @@ class ShakeTableVecEnv(VecEnv):
         scenario: Scenario,
         num_envs: int,
         *,
-        base: FloatArray | EstimatedLaw | None = None,
+        base: FloatArray | EstimatedLaw | PlanLaw | None = None,
         authority: float = 1.0,
         reward_scale: float = 1.0,
     ) -> None:
         self.scenario = scenario
         self.law = base if isinstance(base, EstimatedLaw) else None
+        self.plan = base if isinstance(base, PlanLaw) else None
+        size = scenario.observation.size
         if isinstance(base, EstimatedLaw):  # its own action comes last of what it shows
-            self.base = np.eye(1, size := scenario.observation.size + base.shown, size - 1)[0]
+            self.base = np.eye(1, size + base.shown, size + base.shown - 1)[0]
+        elif isinstance(base, PlanLaw):  # here first
+            self.base = float(base.corrected) * np.eye(1, size + base.shown, size)[0]
         else:
-            self.base = np.zeros(scenario.observation.size) if base is None else base
+            self.base = np.zeros(size) if base is None else base
         self._corrects = bool(np.any(self.base))
         self.authority = authority
         self.reward_scale = reward_scale
@@ -79,7 +85,9 @@ class ShakeTableVecEnv(VecEnv):
         self._returns = np.zeros(num_envs)
         self._observation = np.zeros((num_envs, scenario.observation.size), dtype=np.float32)
         self._shown = np.zeros((num_envs, len(self.base)), dtype=np.float32)
-        self._laws = LawBatch(self.law, num_envs) if self.law else None
+        self._laws: LawBatch | PlanBatch | None = LawBatch(self.law, num_envs) if self.law else None
+        if self.plan is not None:
+            self._laws = PlanBatch(self.plan, num_envs, lambda: self.simulation.motions)
 
     def reset(self) -> NDArray[np.float32]:
         """Start an episode in every lane; seeds given to ``seed`` are used once."""
@@ -96,11 +104,11 @@ class ShakeTableVecEnv(VecEnv):
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Take the actions (N, 1) of the next period."""
         correction = batch_action(actions, (self.num_envs, 1))
-        if self.law is None and not self._corrects and self.authority == 1.0:
-            self._action = correction.copy()  # which the engine takes at any precision
-            return
         if self._laws is not None:
             self._action = self._laws.act(correction[:, None], self.authority, self._shown)
+            return
+        if not self._corrects and self.authority == 1.0:
+            self._action = correction.copy()  # which the engine takes at any precision
             return
         self._action = np.multiply(correction, self.authority, dtype=float)
         if self._corrects:
@@ -131,7 +139,7 @@ class ShakeTableVecEnv(VecEnv):
     def _look(
         self, lanes: NDArray[np.intp] | None = None, *, stepped: bool = False
     ) -> NDArray[np.float32]:
-        """Return what is shown (N, n): the observation, and behind it what the law believes.
+        """Return what is shown (N, n): the observation, and behind it what the law believes or plans.
 
         Of some lanes it is made anew; `stepped` after a period under the actions given.
         """
@@ -288,7 +296,7 @@ class ShakeTableVecEnv(VecEnv):
             memory = self._laws.memory
             memory[index] = state["law_memory"]
             self._laws.memory = memory
-        self._look()
+        self._look(np.asarray(index))
 
     def _own(self) -> dict[str, NDArray[Any]]:
         """Return what the environment keeps of its lanes beside the simulation, arrays of its own."""

@@ -27,13 +27,16 @@ class TrackingFeatures(
     Parameters
     ----------
     env
-        A ``ShakeTable`` environment, or one wrapped without changing its observations.
+        A ``ShakeTable`` environment, one in `PlanWrapper`, or one wrapped without changing its
+        observations.
     """
 
     def __init__(self, env: gymnasium.Env[Observation, Observation]) -> None:
         gymnasium.utils.RecordConstructorArgs.__init__(self)
         gymnasium.ObservationWrapper.__init__(self, env)
-        self._features = FeatureMap(env.get_wrapper_attr("scenario"))
+        plan = env.get_wrapper_attr("plan") if env.has_wrapper_attr("plan") else None
+        planned = 0 if plan is None else plan.shown
+        self._features = FeatureMap(env.get_wrapper_attr("scenario"), planned=planned)
         self.observation_space = self._features.space
 
     def observation(self, observation: Observation) -> Observation:

@@ -13,6 +13,10 @@ __getattr__, __all__ = names_of(
             "own_baseline",
             "own_source",
         ),
+        "plan_law": (
+            "PlanLaw",
+            "PlanOptions",
+        ),
         "policy_file": (
             "PolicyFile",
             "file_digest",

@@ -9,6 +9,7 @@ those of the scenario. On a linear table without limits the law is preview LQR.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -80,6 +81,7 @@ class PlanMemory:
     ground: FloatArray  # (N, w) x_W as last shown, over its scale
     reference: FloatArray  # (N, 2 stories) x~_S over its scale; with yielding storeys (N, 3 stories) SI
     target: FloatArray  # (N, k + 1) y~ now, and as expected over the coming period [m/s^2]
+    response: FloatArray  # (N, H, 2 k) of the plan: y_A [m/s^2] after each physics step, then f_s [N]
     tables: Any = None  # what an adaptive law knows of each table's parameters
 
 
@@ -161,6 +163,27 @@ class NonlinearPredictiveControl:
         action = memory.current / self._scenario.current_limit
         return action.astype(np.float32).reshape(*lead, 1), (memory,)
 
+    def expected(
+        self, memory: PlanMemory, ahead: Sequence[int]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what the plan that was just made says of some periods.
+
+        Parameters
+        ----------
+        memory
+            What `predict` returned.
+        ahead
+            Periods (a), 0 the one that begins now, below `horizon`.
+
+        Returns
+        -------
+        Currents (N, a) [A] held over them, and table acceleration [m/s^2] and base shear [N] expected at
+        the end of each (N, a).
+        """
+        places, k = list(ahead), self._scenario.substeps
+        signals = memory.response[:, places]
+        return memory.plan[:, places], signals[:, :, k - 1], signals[:, :, 2 * k - 1]
+
     def _rest(self, lanes: int) -> PlanMemory:
         n, k = self._scenario.specimen.stories, self._scenario.substeps
         if self.filter is not None:
@@ -175,6 +198,7 @@ class NonlinearPredictiveControl:
             np.zeros((lanes, self._layout.filter_states)),
             np.zeros((lanes, (2 if self._yielding is None else 3) * n)),
             np.zeros((lanes, k + 1)),
+            np.zeros((lanes, self.horizon, 2 * k)),
         )
 
     def _decide(self, shown: FloatArray, last: PlanMemory, fresh: NDArray[np.bool_]) -> PlanMemory:
@@ -212,7 +236,8 @@ class NonlinearPredictiveControl:
             step_lengths=STEP_LENGTHS,
             iterations=self.settings.iterations,
         )  # fmt: skip
-        return PlanMemory(estimate, plan.current[:, 0], plan.current, ground, reference, coming, tables)
+        current, response = plan.current, plan.response
+        return PlanMemory(estimate, current[:, 0], current, ground, reference, coming, response, tables)
 
     def _design(self, tables: Any) -> Design:
         """Return what the decisions of the tables are made with."""

@@ -206,6 +206,7 @@ class PlanPlace:
     period: NDArray[np.intp]  # (N,) of the coming command
     current: FloatArray  # (N,) last command [A]
     estimate: TableEstimate
+    row: NDArray[np.intp]  # (N,) which of the plans each table plays
 
 
 class PlannedControl:
@@ -216,7 +217,7 @@ class PlannedControl:
     scenario
         What is shown; its nominal plant is the filter's model.
     plans
-        One a lane, or one for all.
+        One a lane, or one for all; a `PlanPlace` with other rows lets lanes play any of them.
     model_error_scale
         [-] factor on the disturbances that the filter expects, see `model_error`.
     """
@@ -248,11 +249,14 @@ class PlannedControl:
         n = len(self._places)
         self._current = np.zeros((len(plans), longest))
         self._state, self._gain = np.zeros((2, len(plans), longest, n))
+        self._signals = np.zeros((len(plans), longest, 2))  # y_A, f_s at each period's end
         for row, plan in enumerate(plans):
             T = len(plan.current)
             self._current[row, :T] = plan.current
             self._state[row, :T] = plan.state[:T] / model.scale[self._places]
             self._gain[row, :T] = plan.gain
+            k = plan.target.shape[1]
+            self._signals[row, :T] = plan.response[:, [k - 1, 2 * k - 1]]
 
     def predict(
         self,
@@ -265,14 +269,13 @@ class PlannedControl:
         lead = observation.shape[:-1]
         shown = np.asarray(observation, dtype=float).reshape(-1, observation.shape[-1])
         lanes, limit = len(shown), self._scenario.current_limit
-        rows = np.zeros(lanes, dtype=int) if len(self._current) == 1 else np.arange(lanes)
-        if len(self._current) not in (1, lanes):
-            raise ParameterError("lanes", lanes, f"there are plans for {len(self._current)}")
         fresh = np.ones(lanes, dtype=bool)
         if state is None:
-            last = PlanPlace(np.zeros(lanes, dtype=int), np.zeros(lanes), self.filter.rest(lanes))
+            rows, begin = self.rows(lanes), np.zeros(lanes, dtype=int)
+            last = PlanPlace(begin, np.zeros(lanes), self.filter.rest(lanes), rows)
         else:
             last = state[0]
+            rows = last.row
             none = np.zeros(lanes, dtype=bool)
             fresh = none if episode_start is None else np.reshape(episode_start, lanes).astype(bool)
         sensing, layout = self._scenario.sensing, self._scenario.plant.layout
@@ -288,4 +291,32 @@ class PlannedControl:
         current = self._current[rows, at] + np.einsum("ni,ni->n", self._gain[rows, at], away)
         current = np.where(period < self._length[rows], np.clip(current, -limit, limit), 0.0)
         action = (current / limit).astype(np.float32).reshape(*lead, 1)
-        return action, (PlanPlace(period + 1, current, estimate),)
+        return action, (PlanPlace(period + 1, current, estimate, rows),)
+
+    def rows(self, lanes: int) -> NDArray[np.intp]:
+        """Return which plan each of N tables plays: its own, or the only one.
+
+        Raises
+        ------
+        ParameterError
+            If there is another number of plans.
+        """
+        if len(self._current) not in (1, lanes):
+            raise ParameterError("lanes", lanes, f"there are plans for {len(self._current)}")
+        return np.zeros(lanes, dtype=int) if len(self._current) == 1 else np.arange(lanes)
+
+    def expected(
+        self, place: PlanPlace, ahead: Sequence[int]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what the plans say of some periods; see `NonlinearPredictiveControl.expected`.
+
+        The current of period 0 is the command that `predict` returned, feedback included; the rest is
+        the plan itself, and zeros behind its end.
+        """
+        at = place.period[:, None] - 1 + np.asarray(ahead, dtype=int)
+        rows, length = place.row[:, None], self._length[place.row][:, None]
+        inside, at = at < length, np.minimum(at, length - 1)
+        current = np.where(inside, self._current[rows, at], 0.0)
+        signals = np.where(inside[..., None], self._signals[rows, at], 0.0)
+        current[:, np.asarray(ahead) == 0] = place.current[:, None]
+        return current, signals[..., 0], signals[..., 1]

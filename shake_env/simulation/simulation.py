@@ -16,7 +16,7 @@ from shake_env.model.inputs import checked_action as checked_action
 from shake_env.model.parameters import FloatArray
 from shake_env.model.random_numbers import episode_key
 from shake_env.model.specimen_state import SpecimenState
-from shake_env.motion.targets import Motion, control_steps
+from shake_env.motion.targets import EpisodeMotion, Motion, control_steps
 from shake_env.numba_support import compiled_module
 from shake_env.scenario.scenario import Scenario
 from shake_env.simulation.engine import (
@@ -87,6 +87,11 @@ class Simulation:
     @state.setter
     def state(self, state: FloatArray) -> None:
         self.engine.state = state
+
+    @property
+    def motions(self) -> list[EpisodeMotion]:
+        """The motion of each lane's episode (N)."""
+        return list(self.engine.motions)
 
     @property
     def first_drifts(self) -> FloatArray:

@@ -28,6 +28,7 @@ from agents.learning.apg.torch_plant import torch_model
 from agents.learning.vec_env import ShakeTableVecEnv
 from shake_env.dynamics.ground import GroundPeriod
 from shake_env.dynamics.linear import PeriodResponse, as_like
+from shake_env.errors import ScenarioError
 from shake_env.model.plant import TABLE_DISPLACEMENT
 from shake_env.scenario.limits import OBSERVATION_BOUND
 from shake_env.scenario.observation import FLOOR_ACCELERATIONS
@@ -93,6 +94,8 @@ class WindowRollout:
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float64,
     ) -> None:
+        if env.plan is not None:
+            raise ScenarioError("base", "plan", "has no gradient: correct a linear law, or use PPO")
         self.env = env
         self.like = torch.zeros(1, dtype=dtype, device=device)
         self._base: torch.Tensor | None = as_like(env.base, self.like) if np.any(env.base) else None
