@@ -204,7 +204,7 @@ def _law(scenario: Scenario, plan: PlanOptions | PlanLaw) -> PlanLaw:
     return plan if isinstance(plan, PlanLaw) else PlanLaw.from_options(scenario, plan)
 
 
-def _space(scenario: Scenario, law: PlanLaw) -> spaces.Box:
+def _space(scenario: Scenario, law: PlanLaw) -> Any:
     """Return the space of an observation (n + e,), bounds as the environment's own."""
     shape, bound = (scenario.observation.size + law.shown,), OBSERVATION_BOUND
     return spaces.Box(-bound, bound, shape, np.float32)
