@@ -186,7 +186,8 @@ def optimum(
             iterations=most, tolerance=tolerance,
         )  # fmt: skip
 
-    smoother = model.scenario.parts.friction.active
+    parts = model.scenario.parts
+    smoother = parts.friction.active or parts.valve.dead_band > 0.0
     for index, (name, given) in enumerate(starts.items()):
         current = np.zeros((1, T))
         current[0, : len(given)] = given[:T]
@@ -197,7 +198,7 @@ def optimum(
             nearer = current
             for factor in SMOOTHER[index % len(SMOOTHER)]:
                 easier = improved(
-                    model.with_smoother_friction(factor), nearer, SMOOTHER_ITERATIONS, SMOOTHER_TOLERANCE
+                    model.made_smoother(factor), nearer, SMOOTHER_ITERATIONS, SMOOTHER_TOLERANCE
                 )
                 nearer, passed = easier.current, passed + int(easier.iterations[0])
             plan = improved(model, nearer, iterations, TOLERANCE)

@@ -14,12 +14,13 @@ from numba import njit
 
 from baselines.planning.period_kernel import (
     ModelArrays,
-    gradient_of_g,
-    make_tape,
+    gradients_of_g,
+    make_tapes,
     period,
     period_jacobian,
     stamp,
     table_model,
+    tape_of,
 )
 from shake_env.kernels.lanes import COLUMNS, YIELD_DRIFT, IntArray, jit, nonlinear, slip_rates
 from shake_env.model.parameters import FloatArray
@@ -45,13 +46,11 @@ def _signals(
     rows, outputs = sensors[0], sensors[1]
     order, inputs = slope.shape[1], s[COLUMNS]
     column, g, none = np.zeros((order, 1)), np.zeros((inputs, 1)), np.zeros(1)
-    gradient, wide = np.zeros((order, inputs)), np.zeros((order, inputs))
-    along, scalars, seed = np.zeros(inputs), np.zeros((5, inputs)), np.eye(inputs)
     for i in range(order):
         column[i, 0] = x[i]
     if inputs > 0:
         nonlinear(column, none, v, s, coulomb, rate, g, 1)
-        gradient_of_g(column, 0.0, model, wide, scalars, seed, gradient, along)
+    gradient, _ = gradients_of_g(column, none, model)
     for r in range(len(value)):
         value[r] = 0.0
         for i in range(order):
@@ -107,7 +106,7 @@ def predict(
     model, p = table_model(models, first), len(anchor)
     n, size = len(scale), len(P)
     order, substeps = model[0].shape[0], model[6].shape[0]
-    tape = make_tape(model)
+    tape = tape_of(make_tapes(model, 1), 0)
     moved, response = np.zeros(n), np.zeros(2 * substeps)
     A, B = np.zeros((n, n)), np.zeros(n)
     C, D = np.zeros((2 * substeps, n)), np.zeros(2 * substeps)

@@ -14,12 +14,13 @@ from numba import njit
 
 from baselines.planning.period_kernel import (
     ModelArrays,
-    Tape,
-    make_tape,
+    Tapes,
+    make_tapes,
     period,
     period_jacobian,
     stamp,
     table_model,
+    tape_of,
 )
 from shake_env.kernels.lanes import COLUMNS, IntArray, jit
 from shake_env.model.parameters import FloatArray
@@ -105,10 +106,10 @@ def roll_out(
     alpha: float,
     limit: float,
     model: ModelArrays,
-    tape: Tape,
+    tapes: Tapes,
     scale: FloatArray,
 ) -> None:
-    """Run a plan from X[0] with ``base + alpha step + gain (x - nominal)``; write X, U and Y."""
+    """Run a plan from X[0] with ``base + alpha step + gain (x - nominal)``; write X, U, Y and tapes."""
     n = len(scale)
     for t in range(len(U)):
         u = base[t] + alpha * step[t]
@@ -117,7 +118,7 @@ def roll_out(
                 u += gain[t, a] * (X[t, a] - nominal[t, a]) / scale[a]
         u = min(max(u, -limit), limit)
         U[t] = u
-        period(X[t], u, model, tape, X[t + 1], Y[t])
+        period(X[t], u, model, tape_of(tapes, min(t, len(tapes[0]) - 1)), X[t + 1], Y[t])
 
 
 @jit
@@ -288,15 +289,15 @@ def improve(
     """
     H, n, outputs = len(U), len(scale), Y.shape[1]
     limit = plan[6][CURRENT_LIMIT]
-    tape = make_tape(model)
     linear = model[8][COLUMNS] == 0
     stored = 1 if linear else H
+    tapes = make_tapes(model, stored)
     A, B = np.zeros((stored, n, n)), np.zeros((stored, n))
     C, D = np.zeros((stored, outputs, n)), np.zeros((stored, outputs))
     X_new, Y_new, U_new = np.zeros((H + 1, n)), np.zeros((H, outputs)), np.zeros(H)
     step = np.zeros(H)
     X_new[0] = X[0]
-    roll_out(X, U, Y, X, U, step, gain, 0.0, limit, model, tape, scale)
+    roll_out(X, U, Y, X, U, step, gain, 0.0, limit, model, tapes, scale)
     cost, worst = objective(X, Y, U, plan, scale)
     damping, done, small = 0.0, 0, 0
     smallest = 1e-3 * max(plan[3][CURRENT], 1e-12)
@@ -304,14 +305,12 @@ def improve(
     while done < iterations:
         done += 1
         if fresh:
-            for t in range(stored):
-                # The tape of a rolled-out period is gone: run it again, which costs little.
-                period(X[t], U[t], model, tape, X_new[t + 1], Y_new[t])
-                period_jacobian(model, tape, scale, A[t], B[t], C[t], D[t])
+            for t in range(stored):  # the last plan that was rolled out is the one that was taken
+                period_jacobian(model, tape_of(tapes, t), scale, A[t], B[t], C[t], D[t])
         backward(X, Y, U, A, B, C, D, plan, scale, damping, step, gain)
         taken, saved = 0.0, 0.0
         for alpha in alphas:
-            roll_out(X_new, U_new, Y_new, X, U, step, gain, alpha, limit, model, tape, scale)
+            roll_out(X_new, U_new, Y_new, X, U, step, gain, alpha, limit, model, tapes, scale)
             cost_new, worst_new = objective(X_new, Y_new, U_new, plan, scale)
             # A comparison with NaN, of a plan that diverged, is False.
             within, kept_new = worst <= 1.0 - MARGIN, worst_new <= 1.0 - MARGIN
@@ -395,7 +394,7 @@ def _cached_jacobian(number: int) -> Any:
         D_u: FloatArray,
     ) -> int:
         model = table_model(models, 0)
-        tape = make_tape(model)
+        tape = tape_of(make_tapes(model, 1), 0)
         period(x, u, model, tape, moved, response)
         period_jacobian(model, tape, scale, A, B, C_x, D_u)
         return number

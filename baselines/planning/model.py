@@ -137,12 +137,16 @@ class PlanningModel:
             bounds=_bounds(scenario),
         )
 
-    def with_smoother_friction(self, factor: float) -> PlanningModel:
-        """Return the model with dry friction smoothed over `factor` times its velocity."""
+    def made_smoother(self, factor: float) -> PlanningModel:
+        """Return the model with dry friction smoothed over `factor` times its velocity.
+
+        A dead band is that much narrower: inside it the current has no slope.
+        """
         parts = self.scenario.nonlinearity
-        friction = parts.friction
+        friction, valve = parts.friction, parts.valve
         friction = replace(friction, smoothing_velocity=factor * friction.smoothing_velocity)
-        scenario = replace(self.scenario, nonlinearity=replace(parts, friction=friction))
+        valve = replace(valve, dead_band=valve.dead_band / factor)
+        scenario = replace(self.scenario, nonlinearity=replace(parts, friction=friction, valve=valve))
         scalars = compiled("period_kernel").scalars(scenario.parts)
         *matrices, _, switches = self.arrays
         return replace(self, scenario=scenario, arrays=(*matrices, scalars, switches))

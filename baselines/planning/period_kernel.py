@@ -32,6 +32,7 @@ ModelArrays: TypeAlias = tuple[
 ]  # fmt: skip
 # taped, predicted, spool, arriving: what a period leaves for its Jacobian
 Tape: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+Tapes: TypeAlias = Tape  # the same with an axis of periods ahead
 
 
 def stamp(*modules: str) -> int:
@@ -51,17 +52,23 @@ def table_model(models: ModelArrays, table: int) -> ModelArrays:
 
 
 @jit
-def make_tape(model: ModelArrays) -> Tape:
-    """Return room for one period of a table."""
+def make_tapes(model: ModelArrays, periods: int) -> Tapes:
+    """Return room for periods of a table, along the first axis."""
     advance, arrival, s = model[0], model[6], model[8]
     order, substeps = advance.shape[0], arrival.shape[0]
     tall = order + 1 + s[COLUMNS]
     return (
-        np.zeros((substeps + 1, tall, 1)),
-        np.zeros((substeps, order, 1)),
-        np.zeros(substeps),
-        np.zeros(substeps),
+        np.zeros((periods, substeps + 1, tall, 1)),
+        np.zeros((periods, substeps, order, 1)),
+        np.zeros((periods, substeps)),
+        np.zeros((periods, substeps)),
     )
+
+
+@jit
+def tape_of(tapes: Tapes, t: int) -> Tape:
+    """Return the room of one period."""
+    return tapes[0][t], tapes[1][t], tapes[2][t], tapes[3][t]
 
 
 @jit
@@ -77,7 +84,7 @@ def period(
     u
         Command [A].
     model, tape
-        See `ModelArrays`, and `make_tape`.
+        See `ModelArrays`, and `tape_of`.
     moved, response
         (m + commands) and (2 k), written: the state a period on; y_A after each physics step, then f_s.
     """
@@ -131,59 +138,60 @@ def period(
 
 
 @jit
-def gradient_of_g(
-    x: FloatArray,
-    current: float,
-    model: ModelArrays,
-    wide: FloatArray,
-    scalars: FloatArray,
-    seed: FloatArray,
-    gradient: FloatArray,
-    along_current: FloatArray,
-) -> None:
-    """Write dg/dx transposed, (order, columns), and dg/du, (columns), of one table.
+def gradients_of_g(
+    states: FloatArray, currents: FloatArray, model: ModelArrays
+) -> tuple[FloatArray, FloatArray]:
+    """Return what g is along the state and the current, of one table in several states.
 
-    `wide` (order, columns), `scalars` (5, columns) and `seed`, the unit matrix, are room: each column of
-    g takes the place of a table in `pull`.
+    Parameters
+    ----------
+    states, currents
+        (order, points) and (points) [A].
+
+    Returns
+    -------
+    along_state, along_current
+        (order, points columns) and (points columns): dg/dx transposed and dg/du, a point's columns of g
+        side by side.
     """
     coulomb, rate, v, s = model[5], model[4], model[7], model[8]
-    order, inputs = gradient.shape
-    for n in range(inputs):
-        scalars[0, n] = current
-        scalars[1, n] = coulomb[0]
-        scalars[2, n] = rate[0, 0]
-        scalars[3, n] = rate[1, 0]
-        scalars[4, n] = rate[2, 0]
-        along_current[n] = 0.0
-    for i in range(order):
-        for n in range(inputs):
-            wide[i, n] = x[i, 0]
-            gradient[i, n] = 0.0
-    pull(
-        wide, scalars[0], v, s, scalars[1], scalars[2:], seed, gradient, along_current, inputs
-    )  # fmt: skip
+    order, inputs = states.shape[0], s[COLUMNS]
+    lanes = states.shape[1] * inputs  # a point's column of g takes the place of a table in `pull`
+    wide, scalars, seed = np.empty((order, lanes)), np.empty((5, lanes)), np.zeros((inputs, lanes))
+    along_state, along_current = np.zeros((order, lanes)), np.zeros(lanes)
+    for lane in range(lanes):
+        point = lane // inputs
+        for i in range(order):
+            wide[i, lane] = states[i, point]
+        scalars[0, lane] = currents[point]
+        scalars[1, lane] = coulomb[0]
+        for i in range(3):
+            scalars[2 + i, lane] = rate[i, 0]
+        seed[lane - point * inputs, lane] = 1.0
+    pull(wide, scalars[0], v, s, scalars[1], scalars[2:], seed, along_state, along_current, lanes)
+    return along_state, along_current
 
 
 @jit
 def add_along(
     gradient: FloatArray,
     along_current: FloatArray,
+    point: int,
     dx: FloatArray,
     dcurrent: FloatArray,
-    sign: float,
     dg: FloatArray,
 ) -> None:
-    """Add ``sign (dg/dx dx + dg/du du)`` to dg, (columns, directions)."""
-    order, inputs = gradient.shape
-    directions = dx.shape[1]
+    """Add ``dg/dx dx + dg/du du`` of a point of `gradients_of_g` to dg, (columns, directions)."""
+    inputs, directions = dg.shape
+    first = point * inputs
     for n in range(inputs):
-        for i in range(order):
-            value = sign * gradient[i, n]
+        for i in range(len(gradient)):
+            value = gradient[i, first + n]
             if value != 0.0:
                 for c in range(directions):
                     dg[n, c] += value * dx[i, c]
-        if along_current[n] != 0.0:
-            value = sign * along_current[n]
+        value = along_current[first + n]
+        if value != 0.0:
             for c in range(directions):
                 dg[n, c] += value * dcurrent[c]
 
@@ -217,22 +225,25 @@ def period_jacobian(
     dx, dp = np.zeros((order, directions)), np.zeros((order, directions))
     dg, change = np.zeros((inputs, directions)), np.zeros((inputs, directions))
     dcurrent = np.zeros(directions)
-    gradient, wide = np.zeros((order, inputs)), np.zeros((order, inputs))
-    along, scalars, seed = np.zeros(inputs), np.zeros((5, inputs)), np.eye(inputs)
+    points = 2 * substeps + 1 if inputs > 0 else 0  # the states, then the predicted ones
+    states, currents = np.empty((order, points)), np.empty(points)
+    for j in range(points):
+        at = j if j <= substeps else j - substeps - 1
+        currents[j] = arriving[min(at, substeps - 1)]
+        for i in range(order):
+            states[i, j] = taped[at, i, 0] if j <= substeps else predicted[at, i, 0]
+    gradient, along = gradients_of_g(states, currents, model)
     for i in range(order):
         dx[i, i] = scale[i]
     for j in range(substeps + 1):
-        x = taped[j]
         for i in range(commands):
             dcurrent[order + i] = arrival[min(j, substeps - 1), i] * scale[order + i]
         dcurrent[n] = arrival[min(j, substeps - 1), commands]
         if inputs > 0:
-            now = arriving[min(j, substeps - 1)]
-            gradient_of_g(x, now, model, wide, scalars, seed, gradient, along)
             for i in range(inputs):
                 for c in range(directions):
                     dg[i, c] = 0.0
-            add_along(gradient, along, dx, dcurrent, 1.0, dg)
+            add_along(gradient, along, j, dx, dcurrent, dg)
         if j > 0:
             for o in range(2):
                 at = o * substeps + j - 1
@@ -266,11 +277,10 @@ def period_jacobian(
                 for c in range(directions):
                     dp[i, c] += value * dg[b, c]
         if inputs > 0:
-            gradient_of_g(predicted[j], arriving[j], model, wide, scalars, seed, gradient, along)
             for i in range(inputs):
                 for c in range(directions):
                     change[i, c] = -dg[i, c]
-            add_along(gradient, along, dp, dcurrent, 1.0, change)
+            add_along(gradient, along, substeps + 1 + j, dp, dcurrent, change)
         for i in range(order):
             for c in range(directions):
                 dx[i, c] = dp[i, c]
