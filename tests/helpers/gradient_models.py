@@ -4,7 +4,7 @@ import torch
 
 from agents.learning.apg.algorithm import AnalyticPolicyGradient
 from agents.learning.features import LinearFeatures, feature_matrix, feature_sizes
-from agents.learning.networks import GRUPolicy
+from agents.learning.memory_policies import GRUPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.training.model_factory import DirectPolicy
 

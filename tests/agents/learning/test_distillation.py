@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from agents.learning.distillation import Distillation
-from agents.learning.networks import DirectPolicy, GRUPolicy
+from agents.learning.memory_policies import GRUPolicy
+from agents.learning.networks import DirectPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_law
 from agents.policies.policy_file import load_policy
