@@ -66,11 +66,12 @@ def test_a_file_gives_the_action_that_sb3_gives(algorithm, friction, tmp_path):
     assert policy.card == {"seed": 0}
 
 
+@pytest.mark.parametrize("memory", ["gru_hidden_size", "tcn_channels"])
 @pytest.mark.parametrize("name", ["laboratory", "unknown-specimen"])
-def test_a_file_with_a_memory_gives_the_action_that_sb3_gives(name, tmp_path):
+def test_a_file_with_a_memory_gives_the_action_that_sb3_gives(name, memory, tmp_path):
     scenario = make_scenario(name)
     env = ShakeTableVecEnv(scenario, 2)
-    options = APGOptions(n_envs=2, gru_hidden_size=16)
+    options = APGOptions(n_envs=2, **{memory: 16})
     model = new_model(TrainConfig(algorithm="apg", apg=options), scenario, env)
     for parameter in model.policy.parameters():
         parameter.data.mul_(1.5)
