@@ -270,6 +270,8 @@ def load_policy(path: str | PathLike[str]) -> PolicyFile:
             memory = UNITS[kind].read(
                 lambda name, axes: _float32(arrays[f"memory.{name}"], axes), header.get("dilations", ())
             )
+            held = {name.removeprefix("memory.") for name in arrays if name.startswith("memory.")}
+            _require(held == set(memory.parts), "memory arrays", sorted(held), _REMEDY)
         law, actions = None, int(header.get("law_actions", 0))
         if actions:
             law = _law({name: arrays[f"law.{name}"] for name in LAW}, actions)
