@@ -114,7 +114,7 @@ class MemoryPolicy(ActorCriticPolicy):
     ) -> torch.Tensor:
         """Return what both networks see (L, N, features + units) of observations (L, N, n)."""
         rows: torch.Tensor = self.features_extractor(observation.flatten(end_dim=1))
-        features = rows.unflatten(0, observation.shape[:2])
+        features = rows.reshape(*observation.shape[:2], -1)
         output = self.remember_sequence(features, memory, begun)
         return torch.cat([features, output], dim=-1)
 

@@ -121,9 +121,10 @@ class PolicyFile:
         hidden = np.clip(observation @ self.matrix.T, -self.feature_clip, self.feature_clip)
         memory: tuple[Any, ...] | None = None
         if self.memory is not None:
-            past = initial_state(self.memory, hidden.shape[:-1])
-            if state is not None:
-                past = tuple(state[: len(past)])
+            if state is None:
+                past = initial_state(self.memory, hidden.shape[:-1])
+            else:
+                past = tuple(state[: len(self.memory.state_widths)])
                 if episode_start is not None:
                     begun = np.reshape(episode_start, hidden.shape[:-1])[..., None]
                     past = tuple(np.where(begun, np.float32(0.0), part) for part in past)

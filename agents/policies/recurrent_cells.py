@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
@@ -234,7 +235,7 @@ class ConvolutionUnit(MemoryUnit):
         """Width of each layer, and of the output."""
         return int(self.weights[0].shape[0])
 
-    @property
+    @cached_property
     def state_widths(self) -> tuple[int, ...]:
         """Width of each array of its state, one a layer."""
         shapes = (weight.shape for weight in self.weights)
