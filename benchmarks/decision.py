@@ -13,7 +13,6 @@ from agents.learning.networks import DIRECT_GAIN
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_law
 from agents.policies.policy_file import PolicyFile, load_policy
-from agents.policies.recurrent_cells import PARTS
 from agents.policies.registry import shipped_policy
 from agents.training.config import config_of
 from agents.training.model_factory import new_model
@@ -65,11 +64,10 @@ def sb3_model(policy: PolicyFile) -> tuple[Any, ShakeTableVecEnv]:
             layers[-1].weight[:, first:] /= DIRECT_GAIN
             layers[-1].weight[:, first : first + count] /= sizes
         if policy.memory is not None:
-            gru = model.policy.gru
-            names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
-            for name, part in zip(names, PARTS, strict=True):
-                getattr(gru, name).copy_(torch.from_numpy(getattr(policy.memory, part)))
-            gru.weight_ih /= sizes
+            tensors = model.policy.memory_parts()
+            for part, array in policy.memory.parts.items():
+                tensors[part].copy_(torch.from_numpy(array))
+            tensors[policy.memory.entry] /= sizes
     return model, env
 
 

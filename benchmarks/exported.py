@@ -30,7 +30,6 @@ from agents.deployment.export import RECORDED, export_c
 from agents.deployment.exported import exported
 from agents.deployment.recorded import record_decisions
 from agents.policies.policy_file import PolicyFile
-from agents.policies.recurrent_cells import GatedUnit
 from agents.policies.registry import get_controller, policies_trained_for
 from shake_env import Supervised, make_scenario
 from shake_env.controller import Controller, decide
@@ -75,8 +74,7 @@ def network(controller: Controller) -> str | None:
         return None
     parts = [" x ".join(str(len(weight)) for weight in controller.weights[:-1])]
     if controller.memory is not None:
-        kind = "GRU" if isinstance(controller.memory, GatedUnit) else "LSTM"
-        parts.append(f"and {kind} of {controller.memory.units}")
+        parts.append(f"and {controller.memory.kind.upper()} of {controller.memory.units}")
     if controller.law is not None:
         parts.append("behind the estimator")
     return " ".join(parts)

@@ -14,7 +14,6 @@ import numpy as np
 from agents.deployment.program import Block, flat
 from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.policy_file import PolicyFile
-from agents.policies.recurrent_cells import PARTS
 from baselines.estimation.adaptive import CertaintyEquivalence
 from baselines.estimation.lqg import EstimatedState, full_state
 from baselines.lqr.feedforward import NODES, WEIGHTS, FeedforwardLQR
@@ -266,7 +265,7 @@ def _(controller: PolicyFile, scenario: Scenario) -> Block:
         arrays[f"weight_{number}"], arrays[f"bias_{number}"] = weight, bias
     memory, law = controller.memory, controller.law
     if memory is not None:
-        arrays |= {name: getattr(memory, name) for name in PARTS}
+        arrays |= memory.parts
     numbers = {
         "n": controller.observation_size,
         "features": len(controller.matrix),
@@ -278,6 +277,8 @@ def _(controller: PolicyFile, scenario: Scenario) -> Block:
         "direct": controller.direct,
         "memory": None if memory is None else memory.kind,
         "units": 0 if memory is None else memory.units,
+        "states": () if memory is None else memory.state_widths,
+        "dilations": () if memory is None else memory.dilations,
         "law": law is not None,
         "shown": 0,
     }

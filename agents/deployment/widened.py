@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.policies.policy_file import PolicyFile
-from agents.policies.recurrent_cells import PARTS
 from shake_env.controller import Controller
 from shake_env.safety.supervisor import Supervised
 
@@ -37,7 +36,7 @@ def to_float64(controller: Controller) -> Controller:
             base=_wide(controller.base),
             memory=None
             if memory is None
-            else type(memory)(*(_wide(getattr(memory, part)) for part in PARTS)),
+            else memory.with_parts({name: _wide(part) for name, part in memory.parts.items()}),
         )
     return controller
 

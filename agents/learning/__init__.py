@@ -10,10 +10,14 @@ __getattr__, __all__ = names_of(
             "feature_matrix",
             "feature_sizes",
         ),
+        "memory_policies": (
+            "GRUPolicy",
+            "MemoryPolicy",
+            "TCNPolicy",
+        ),
         "networks": (
             "DirectActor",
             "DirectPolicy",
-            "GRUPolicy",
             "LSTMPolicy",
             "ScaleFreeDirectPolicy",
             "ScaleFreePolicy",

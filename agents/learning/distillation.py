@@ -16,7 +16,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
 from stable_baselines3.common.utils import safe_mean, update_learning_rate
 
-from agents.learning.networks import GRUPolicy
+from agents.learning.memory_policies import MemoryPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
 from shake_env.controller import Controller
 from shake_env.errors import ParameterError
@@ -31,7 +31,7 @@ class Labels:
     shown: FloatRows  # (T, N, n)
     correction: FloatRows  # (T, N) within [-1, 1]
     begun: NDArray[np.bool_]  # (T, N) where an episode begins
-    memory: FloatRows  # (T / L, N, units) of the student before each sequence
+    memory: FloatRows  # (T / L, N, memory) of a recurrent student before each sequence
 
     @property
     def samples(self) -> int:
@@ -67,7 +67,9 @@ class Distillation(BaseAlgorithm):
     batch_size, n_epochs
         Labels of one gradient step, and passes over the kept labels per round.
     sequence_length
-        Control periods that the gradient of a student with a memory looks back through.
+        Control periods that the gradient of a student with a memory looks back through. A recurrent
+        student begins each such sequence with what it remembered when the labels were collected; one
+        that convolves begins earlier, by as much as it sees.
 
     Raises
     ------
@@ -173,12 +175,12 @@ class Distillation(BaseAlgorithm):
         begun = np.ones(tables.num_envs, dtype=bool)
         steps = -(-int(tables.simulation.episode_steps.max()) // length) * length
         taught_state: tuple[Any, ...] | None = None
-        memory = self._rest()
+        memory = self._rest(tables.num_envs)
         rows: list[tuple[FloatRows, FloatRows, NDArray[np.bool_]]] = []
         memories: list[FloatRows] = []
         for t in range(steps):
             if t % length == 0:
-                memories.append(memory.numpy().copy())
+                memories.append(memory[:, : 0 if self._lead else None].numpy().copy())
             taught, taught_state = self.teacher.predict(shown[:, :raw], taught_state, begun)
             base = np.clip(shown @ tables.base, -1.0, 1.0)
             label = np.clip((taught[:, 0] - base) / scale, -1.0, 1.0).astype(np.float32)
@@ -208,13 +210,10 @@ class Distillation(BaseAlgorithm):
         losses = []
         for _ in range(self.n_epochs):
             for shown, label, begun, memory in self._batches():
-                errors = []
-                for t in range(len(shown)):
-                    mean, memory = self._mean(shown[t], memory, begun[t])
-                    errors.append((mean - label[t]).square().mean())
-                loss = torch.stack(errors).mean() / unit
+                means = self._means(shown, memory, begun)[-len(label) :]
+                loss = (means - label).square().mean() / unit
                 self.policy.optimizer.zero_grad(set_to_none=True)
-                loss.backward()  # type: ignore[no-untyped-call]
+                loss.backward()
                 torch.nn.utils.clip_grad_norm_(self.policy.parameters(), 1.0)
                 self.policy.optimizer.step()
                 losses.append(loss.item())
@@ -230,9 +229,11 @@ class Distillation(BaseAlgorithm):
     def _batches(self) -> Any:
         """Yield the kept labels once, in random order: sequences (L, B, ...) of a student with a memory.
 
-        One without takes single control periods, (1, B, ...).
+        One without takes single control periods, (1, B, ...). What a student that convolves sees before
+        a sequence stands before it, without a label; before an episode its first period does, which
+        begins an episode each time.
         """
-        remembers = isinstance(self.policy, GRUPolicy)
+        remembers, lead = isinstance(self.policy, MemoryPolicy), self._lead
         length = self.sequence_length if remembers else 1
         tables = self.tables.num_envs
         starts = np.array(
@@ -251,16 +252,25 @@ class Distillation(BaseAlgorithm):
             for i in np.unique(chosen[:, 0]):
                 labels, (t, lane) = self.rounds[int(i)], chosen[chosen[:, 0] == i, 1:].T
                 span = t + np.arange(length)[:, None]
-                for part, array in zip(
-                    parts, (labels.shown, labels.correction, labels.begun), strict=False
+                seen = np.maximum(t + np.arange(-lead, length)[:, None], 0)
+                for part, array, rows in zip(
+                    parts,
+                    (labels.shown, labels.correction, labels.begun),
+                    (seen, span, seen),
+                    strict=False,
                 ):
-                    part.append(torch.from_numpy(array[span, lane]))
+                    part.append(torch.from_numpy(array[rows, lane]))
                 parts[3].append(torch.from_numpy(labels.memory[t // self.sequence_length, lane]))
-            yield (*(torch.cat(part, dim=1) for part in parts[:3]), torch.cat(parts[3]))
+            shown, label, begun = (torch.cat(part, dim=1) for part in parts[:3])
+            yield shown, label, begun, self._rest(len(chosen)) if lead else torch.cat(parts[3])
 
-    def _rest(self) -> torch.Tensor:
-        lanes = self.tables.num_envs
-        if isinstance(self.policy, GRUPolicy):
+    @property
+    def _lead(self) -> int:
+        return self.policy.lead if isinstance(self.policy, MemoryPolicy) else 0
+
+    def _rest(self, lanes: int) -> torch.Tensor:
+        """Return the student's memory (lanes, memory) at the start of an episode."""
+        if isinstance(self.policy, MemoryPolicy):
             return self.policy.rest(lanes).cpu()
         return torch.zeros((lanes, 0))
 
@@ -269,11 +279,21 @@ class Distillation(BaseAlgorithm):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the student's action (B,) before its clip, and its memory after."""
         policy = self.policy
-        if isinstance(policy, GRUPolicy):
+        if isinstance(policy, MemoryPolicy):
             features, memory = policy.recall(shown, torch.where(begun[:, None], 0.0, memory))
         else:
             features = policy.pi_features_extractor(shown)
         return policy.action_net(policy.mlp_extractor.forward_actor(features))[:, 0], memory
+
+    def _means(self, shown: torch.Tensor, memory: torch.Tensor, begun: torch.Tensor) -> torch.Tensor:
+        """Return the student's actions (L, B) before their clip along sequences (L, B, ...)."""
+        policy = self.policy
+        if isinstance(policy, MemoryPolicy):
+            features = policy.recall_sequence(shown, memory, begun).flatten(end_dim=1)
+        else:
+            features = policy.pi_features_extractor(shown.flatten(end_dim=1))
+        means: torch.Tensor = policy.action_net(policy.mlp_extractor.forward_actor(features))
+        return means.reshape(begun.shape)
 
     def dump_logs(self) -> None:
         """Write what was recorded, with times, to the logger."""

@@ -23,6 +23,7 @@ __getattr__, __all__ = names_of(
             "load_policy",
         ),
         "recurrent_cells": (
+            "ConvolutionUnit",
             "GatedUnit",
             "LongShortTermUnit",
         ),

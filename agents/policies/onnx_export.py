@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.policies.policy_file import PolicyFile
-from agents.policies.recurrent_cells import GatedUnit, MemoryUnit
+from agents.policies.recurrent_cells import ConvolutionUnit, GatedUnit, LongShortTermUnit, MemoryUnit
 from shake_env.errors import PolicyFileError, ShakeError, install_hint
 from shake_env.files import write_bytes
 
@@ -61,9 +61,9 @@ class _Graph:
 def export_onnx(policy: PolicyFile, path: str | PathLike[str]) -> Path:
     """Write a policy as ONNX.
 
-    Inputs are ``observation`` (N, n) and, with a memory, ``state_0`` (and ``state_1`` for an LSTM)
-    (N, units), zeros at the start of an episode. Outputs are ``action`` (N, 1), within [-1, 1], and
-    ``next_state_0`` (``next_state_1``). The card is in the model's metadata.
+    Inputs are ``observation`` (N, n) and, with a memory, ``state_0`` and the further arrays of its state
+    (`MemoryUnit.state_widths`), (N, width), zeros at the start of an episode. Outputs are ``action``
+    (N, 1), within [-1, 1], and ``next_state_0`` and so on. The card is in the model's metadata.
 
     Raises
     ------
@@ -103,19 +103,19 @@ def export_onnx(policy: PolicyFile, path: str | PathLike[str]) -> Path:
     for name, made in renamed.items():
         graph.nodes.append(helper.make_node("Identity", [made], [name]))
 
-    def values(names: list[str], width: int) -> list[Any]:
-        return [helper.make_tensor_value_info(n, TensorProto.FLOAT, ["N", width]) for n in names]
+    widths = () if policy.memory is None else policy.memory.state_widths
 
-    units = 0 if policy.memory is None else policy.memory.units
+    def values(first: str, width: int, state: str) -> list[Any]:
+        named = {first: width, **{f"{state}_{i}": each for i, each in enumerate(widths)}}
+        kind = TensorProto.FLOAT
+        return [helper.make_tensor_value_info(n, kind, ["N", size]) for n, size in named.items()]
+
     model = helper.make_model(
         helper.make_graph(
             graph.nodes,
             "shake_policy",
-            [
-                *values(["observation"], policy.observation_size),
-                *values([f"state_{i}" for i in range(len(states))], units),
-            ],
-            [*values(["action"], 1), *values([f"next_state_{i}" for i in range(len(states))], units)],
+            values("observation", policy.observation_size, "state"),
+            values("action", 1, "next_state"),
             graph.constants,
         ),
         opset_imports=[helper.make_opsetid("", OPSET)],
@@ -130,6 +130,9 @@ def export_onnx(policy: PolicyFile, path: str | PathLike[str]) -> Path:
 
 def _recall(graph: _Graph, unit: MemoryUnit, features: str) -> tuple[str, list[str]]:
     """Add a memory's equations (see `recurrent_cells`); return its output and its new state."""
+    if isinstance(unit, ConvolutionUnit):
+        return _convolve(graph, unit, features)
+    assert isinstance(unit, GatedUnit | LongShortTermUnit)
     n = unit.units
     new = graph.affine(features, unit.input_weight, unit.input_bias)
     old = graph.affine("state_0", unit.hidden_weight, unit.hidden_bias)
@@ -146,3 +149,20 @@ def _recall(graph: _Graph, unit: MemoryUnit, features: str) -> tuple[str, list[s
     cell = graph.add("Add", graph.add("Mul", graph.add("Sigmoid", f), "state_1"), let_in)
     hidden = graph.add("Mul", graph.add("Sigmoid", o), graph.add("Tanh", cell))
     return hidden, [hidden, cell]
+
+
+def _convolve(graph: _Graph, unit: ConvolutionUnit, values: str) -> tuple[str, list[str]]:
+    """Add convolutions over the last features; return their output and new state."""
+    states = []
+    for number, (weight, bias, d) in enumerate(
+        zip(unit.weights, unit.biases, unit.dilations, strict=True)
+    ):
+        units, taps, inputs = weight.shape
+        known = graph.add("Concat", f"state_{number}", values, axis=-1)
+        columns = np.arange(taps)[:, None] * d * inputs + np.arange(inputs)
+        read = graph.add("Gather", known, graph.constant(columns.ravel()), axis=-1)
+        made = graph.add("Relu", graph.affine(read, weight.reshape(units, -1), bias))
+        values = graph.add("Add", values, made) if number else made
+        kept = np.arange(inputs, ((taps - 1) * d + 1) * inputs)
+        states.append(graph.add("Gather", known, graph.constant(kept), axis=-1))
+    return values, states

@@ -21,7 +21,7 @@ from safetensors.numpy import save
 from agents.earlier_names import present_card
 from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.policy_header import check_card, parse_header
-from agents.policies.recurrent_cells import PARTS, UNITS, GatedUnit, MemoryUnit, Weights, initial_state
+from agents.policies.recurrent_cells import UNITS, MemoryUnit, Weights, initial_state
 from shake_env.errors import PolicyFileError
 from shake_env.files import no_file, write_bytes
 from shake_env.scenario.limits import OBSERVATION_BOUND
@@ -75,7 +75,7 @@ class PolicyFile:
             _require(read == self.observation_size, "law inputs", read, _REMEDY)
         width = self.matrix.shape[0]
         if self.memory is not None:
-            taken = self.memory.input_weight.shape[1]
+            taken = self.memory.inputs
             _require(taken == width, "memory inputs", taken, f"must be {width}")
             width += self.memory.units
         entering, last = width, len(self.weights) - 1
@@ -95,8 +95,8 @@ class PolicyFile:
         ):  # fmt: skip
             for array in arrays:
                 _require_sane(name, array)
-        for part in () if self.memory is None else PARTS:
-            _require_sane(f"memory {part}", getattr(self.memory, part))
+        for part, array in ({} if self.memory is None else self.memory.parts).items():
+            _require_sane(f"memory {part}", array)
         for part in () if self.law is None else LAW:
             _require_sane(f"law {part}", getattr(self.law, part))
         check_card(self.card)
@@ -121,9 +121,10 @@ class PolicyFile:
         hidden = np.clip(observation @ self.matrix.T, -self.feature_clip, self.feature_clip)
         memory: tuple[Any, ...] | None = None
         if self.memory is not None:
-            past = initial_state(self.memory, hidden.shape[:-1])
-            if state is not None:
-                past = tuple(state[: self.memory.arrays])
+            if state is None:
+                past = initial_state(self.memory, hidden.shape[:-1])
+            else:
+                past = tuple(state[: len(self.memory.state_widths)])
                 if episode_start is not None:
                     begun = np.reshape(episode_start, hidden.shape[:-1])[..., None]
                     past = tuple(np.where(begun, np.float32(0.0), part) for part in past)
@@ -220,11 +221,13 @@ class PolicyFile:
             "law_actions": 0 if self.law is None else self.law.actions,
             "card": self.card,
         }
+        if self.memory is not None and self.memory.dilations:
+            header["dilations"] = list(self.memory.dilations)
         arrays = {"matrix": self.matrix, "base": self.base}
         for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             arrays[f"weight.{number}"], arrays[f"bias.{number}"] = weight, bias
-        for name in () if self.memory is None else PARTS:
-            arrays[f"memory.{name}"] = getattr(self.memory, name)
+        for name, array in ({} if self.memory is None else self.memory.parts).items():
+            arrays[f"memory.{name}"] = array
         for name in () if self.law is None else LAW:
             arrays[f"law.{name}"] = getattr(self.law, name)
         contiguous = {name: np.ascontiguousarray(a) for name, a in arrays.items()}
@@ -263,13 +266,13 @@ def load_policy(path: str | PathLike[str]) -> PolicyFile:
         layers = range(int(header["layers"]))
         memory = None
         if kind := header.get("memory"):  # files of before policies had one do not say
-            unit = GatedUnit if kind is True else UNITS[kind]  # those of before there were two say true
-            memory = unit(
-                *(
-                    _float32(arrays[f"memory.{name}"], d)
-                    for name, d in zip(PARTS, (2, 2, 1, 1), strict=True)
-                )
+            kind = "gru" if kind is True else kind  # those of before there were two say true
+            _require(kind in UNITS, "memory", kind, f"known: {', '.join(UNITS)}")
+            memory = UNITS[kind].read(
+                lambda name, axes: _float32(arrays[f"memory.{name}"], axes), header.get("dilations", ())
             )
+            held = {name.removeprefix("memory.") for name in arrays if name.startswith("memory.")}
+            _require(held == set(memory.parts), "memory arrays", sorted(held), _REMEDY)
         law, actions = None, int(header.get("law_actions", 0))
         if actions:
             law = _law({name: arrays[f"law.{name}"] for name in LAW}, actions)

@@ -130,7 +130,7 @@ def card_text(
     scenario = given_options(config.get("scenario", {}))
     name = scenario.pop("scenario", "unknown")
     changed = ", ".join(f"{key} = {value}" for key, value in scenario.items())
-    memory = "none" if policy.memory is None else f"{policy.memory.kind}, {policy.memory.units} units"
+    memory = "none" if policy.memory is None else policy.memory.summary
     widths = "x".join(str(len(bias)) for bias in policy.biases[:-1])
     twice = ", one and its mirror image" if config.get("odd_symmetry") else ""
     first = card.get("first")  # the policy that training began with

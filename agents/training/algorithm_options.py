@@ -7,6 +7,9 @@ from typing import Literal
 
 from agents.policies.base_names import BaseLaw
 
+# Options that give a policy a memory, by the kind of the memory unit; one at most is above 0.
+MEMORY_OPTIONS = {"gru": "gru_hidden_size", "tcn": "tcn_channels"}
+
 
 @dataclass(frozen=True, kw_only=True)
 class ProximalOptions:
@@ -155,7 +158,10 @@ class DaggerOptions:
     sequence_length: int = 50
     """Control periods that the gradient of a policy with memory looks back through."""
     gru_hidden_size: int = 0
-    """Width of the policy's gated recurrent unit; 0: a policy without memory."""
+    """Width of the policy's gated recurrent unit; 0: none."""
+    tcn_channels: int = 0
+    """Width of the policy's temporal convolutions over the last 43 control periods, in the place of a
+    recurrent unit; 0: none."""
     actor_bias: bool = True
     """Whether the actor has biases (see PPO's); a policy with memory always has them."""
     base_controller: BaseLaw = "lqg-searched"
@@ -189,7 +195,10 @@ class APGOptions:
     td_lambda: float = 0.95
     """Lambda of the critic's targets [-], with a terminal value."""
     gru_hidden_size: int = 0
-    """Width of the policy's gated recurrent unit; 0: a policy without memory."""
+    """Width of the policy's gated recurrent unit; 0: none."""
+    tcn_channels: int = 0
+    """Width of the policy's temporal convolutions over the last 43 control periods, in the place of a
+    recurrent unit; 0: none."""
     checkpoint_segment_length: int = 0
     """Gradient checkpointing: control periods of a segment that is recomputed in the backward pass; 0:
     off. Memory is least near the square root of the window."""

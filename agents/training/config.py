@@ -16,6 +16,7 @@ from agents.run_directory import CONFIG, folder_contents, names_in_words, read_j
 from agents.scenario_options import ScenarioOptions
 from agents.seeds import MOST_RUNS
 from agents.training.algorithm_options import (
+    MEMORY_OPTIONS,
     APGOptions,
     DaggerOptions,
     PPOOptions,
@@ -108,7 +109,7 @@ class TrainConfig:
                 )
         not_positive = (
             "log_std_init", "target_entropy", "base_controller", "actor_bias", "terminal_value",
-            "gru_hidden_size", "precision", "device", "top_quantiles_to_drop_per_net",
+            *MEMORY_OPTIONS.values(), "precision", "device", "top_quantiles_to_drop_per_net",
             "checkpoint_segment_length", "critic_warmup_fraction", "paired", "direct_path", "teacher",
             "step_check",
         )  # fmt: skip
@@ -124,8 +125,12 @@ class TrainConfig:
                 self.seed,
                 f"artificial earthquakes from seed {MOST_RUNS} on are those that runs are judged by",
             )
-        require_non_negative(self.apg, "gru_hidden_size", "checkpoint_segment_length")
-        require_non_negative(self.dagger, "gru_hidden_size")
+        require_non_negative(self.apg, "checkpoint_segment_length")
+        for remembering in (self.apg, self.dagger):
+            require_non_negative(remembering, *MEMORY_OPTIONS.values())
+            if remembering.gru_hidden_size and (channels := remembering.tcn_channels):
+                remedy = "a policy has one memory: give this or gru_hidden_size as 0"
+                raise ParameterError("tcn_channels", channels, remedy)
         require_non_negative(self.tqc, dropped := "top_quantiles_to_drop_per_net")
         if (number := self.tqc.top_quantiles_to_drop_per_net) >= self.tqc.n_quantiles:
             raise ParameterError(dropped, number, "must leave a quantile of each critic")
@@ -153,7 +158,7 @@ class TrainConfig:
     def remembers(self) -> bool:
         """Whether the policy has a memory."""
         recurrent = self.algorithm == "recurrent-ppo"
-        return recurrent or getattr(self.chosen, "gru_hidden_size", 0) > 0
+        return recurrent or any(getattr(self.chosen, name, 0) for name in MEMORY_OPTIONS.values())
 
     @property
     def steps(self) -> int:

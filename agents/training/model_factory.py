@@ -14,16 +14,23 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from agents.learning.apg.algorithm import AnalyticPolicyGradient
 from agents.learning.distillation import Distillation
 from agents.learning.features import LinearFeatures, feature_matrix, feature_sizes
+from agents.learning.memory_policies import GRUPolicy, MemoryPolicy, TCNPolicy
 from agents.learning.networks import (
     DirectPolicy,
-    GRUPolicy,
     LSTMPolicy,
     ScaleFreeDirectPolicy,
     ScaleFreePolicy,
 )
 from agents.learning.paired import PairedVecEnv
 from agents.learning.vec_env import ShakeTableVecEnv
-from agents.training.algorithm_options import SACOptions, TD3Options, TQCOptions
+from agents.training.algorithm_options import (
+    MEMORY_OPTIONS,
+    APGOptions,
+    DaggerOptions,
+    SACOptions,
+    TD3Options,
+    TQCOptions,
+)
 from agents.training.config import TrainConfig
 from agents.training.tables import TrainingTables, base_tables
 from baselines.planning.informed import InformedPredictiveControl
@@ -41,6 +48,7 @@ _ACTORS: dict[tuple[bool, bool], type[ActorCriticPolicy]] = {
     (True, False): ScaleFreePolicy,
     (True, True): ScaleFreeDirectPolicy,
 }
+_MEMORIES: tuple[type[MemoryPolicy], ...] = (GRUPolicy, TCNPolicy)
 
 
 class _Warm:
@@ -245,15 +253,21 @@ def _recurrent(
     )  # fmt: skip
 
 
+def _direct_or_memory(
+    options: APGOptions | DaggerOptions, policy: dict[str, Any]
+) -> tuple[type[ActorCriticPolicy], dict[str, Any]]:
+    """Return the policy class with a direct path that the options name, and its keywords."""
+    for kind in _MEMORIES:
+        if units := getattr(options, MEMORY_OPTIONS[kind.kind.kind]):
+            return kind, {**policy, "units": units}
+    return _ACTORS[not options.actor_bias, True], policy
+
+
 def _analytic(
     config: TrainConfig, policy: dict[str, Any], env: TrainingTables, gamma: float
 ) -> AnalyticPolicyGradient:
     analytic = config.apg
-    kind: type[ActorCriticPolicy]
-    if analytic.gru_hidden_size:
-        kind, policy = GRUPolicy, {**policy, "units": analytic.gru_hidden_size}
-    else:
-        kind = _ACTORS[not analytic.actor_bias, True]
+    kind, policy = _direct_or_memory(analytic, policy)
     # Exact gradients need no long averages: short ones forget a window in which the loop rang. SB3's
     # epsilon of 1e-5 is of the size of the gradient's entries near the optimum: Adam would stop there.
     policy["optimizer_kwargs"] = {"betas": (0.7, 0.95), "eps": 1e-8}
@@ -288,9 +302,7 @@ def _teacher(name: str, env: ShakeTableVecEnv) -> Controller:
 
 def _distillation(config: TrainConfig, policy: dict[str, Any], env: ShakeTableVecEnv) -> Distillation:
     chosen = config.dagger
-    kind: type[ActorCriticPolicy] = _ACTORS[not chosen.actor_bias, True]
-    if chosen.gru_hidden_size:
-        kind, policy = GRUPolicy, {**policy, "units": chosen.gru_hidden_size}
+    kind, policy = _direct_or_memory(chosen, policy)
     policy["log_std_init"] = -3.0  # for PPO to go on from
     policy["optimizer_kwargs"] = {"eps": 1e-8}  # as for gradients through the plant
     return Distillation(

@@ -16,10 +16,11 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from agents.learning.apg.algorithm import AnalyticPolicyGradient
 from agents.learning.distillation import Distillation
 from agents.learning.features import LinearFeatures
-from agents.learning.networks import DIRECT_GAIN, DirectActor, GRUPolicy, LSTMPolicy
+from agents.learning.memory_policies import MemoryPolicy
+from agents.learning.networks import DIRECT_GAIN, DirectActor, LSTMPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.policy_file import PolicyFile
-from agents.policies.recurrent_cells import GatedUnit, LongShortTermUnit, MemoryUnit
+from agents.policies.recurrent_cells import DILATIONS, LongShortTermUnit, MemoryUnit
 from shake_env.errors import PolicyFileError
 
 _ACTIVATIONS = {torch.nn.Tanh: "tanh", torch.nn.ReLU: "relu"}
@@ -80,7 +81,7 @@ def export_policy(model: BaseAlgorithm, env: ShakeTableVecEnv, card: dict[str, A
         authority=env.authority,
         card=card,
         direct=actor.direct > 0,
-        memory=_memory(model.policy, features),
+        memory=_memory(model, features),
         law=env.law,
     )
 
@@ -122,20 +123,30 @@ def actor_of(model: BaseAlgorithm) -> Actor:
     return Actor(features, linear, _ACTIVATIONS[kinds.pop()], output, direct)
 
 
-def _memory(policy: Any, features: LinearFeatures) -> MemoryUnit | None:
-    if isinstance(policy, GRUPolicy):
-        gru = policy.gru
-        return GatedUnit(
-            _numpy(gru.weight_ih * features.sizes),
-            *(_numpy(part) for part in (gru.weight_hh, gru.bias_ih, gru.bias_hh)),
-        )
+def memory_of(model: BaseAlgorithm) -> tuple[type[MemoryUnit], dict[str, torch.Tensor]] | None:
+    """Return the kind of a model's memory, and its weights by their names in a file; None without one.
+
+    What is put in these weights stays.
+    """
+    policy = model.policy
+    if isinstance(policy, MemoryPolicy):
+        return policy.kind, policy.memory_parts()
     if isinstance(policy, LSTMPolicy):
         lstm = dict(policy.lstm_actor.named_parameters())
-        return LongShortTermUnit(
-            _numpy(lstm["weight_ih_l0"] * features.sizes),
-            *(_numpy(lstm[part]) for part in ("weight_hh_l0", "bias_ih_l0", "bias_hh_l0")),
-        )
+        return LongShortTermUnit, {
+            "input_weight": lstm["weight_ih_l0"], "hidden_weight": lstm["weight_hh_l0"],
+            "input_bias": lstm["bias_ih_l0"], "hidden_bias": lstm["bias_hh_l0"],
+        }  # fmt: skip
     return None
+
+
+def _memory(model: BaseAlgorithm, features: LinearFeatures) -> MemoryUnit | None:
+    found = memory_of(model)
+    if found is None:
+        return None
+    kind, parts = found
+    parts = {**parts, kind.entry: parts[kind.entry] * features.sizes}
+    return kind.read(lambda name, axes: _numpy(parts[name]), DILATIONS)
 
 
 def _numpy(tensor: torch.Tensor) -> NDArray[np.float32]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -11,11 +10,12 @@ import torch
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.policy_file import LAW, PolicyFile
-from agents.policies.recurrent_cells import PARTS, MemoryUnit
+from agents.policies.recurrent_cells import MemoryUnit
 from agents.policies.registry import policy_path
+from agents.training.algorithm_options import MEMORY_OPTIONS
 from agents.training.config import TrainConfig
 from agents.training.model_factory import Model
-from agents.training.policy_export import actor_of, export_policy
+from agents.training.policy_export import actor_of, export_policy, memory_of
 from shake_env.errors import PolicyFileError
 
 
@@ -55,16 +55,11 @@ def load_actor_weights(model: Model, env: ShakeTableVecEnv, policy: PolicyFile) 
         ):
             layer.weight.copy_(torch.from_numpy(weight / scale))
             layer.bias.copy_(torch.from_numpy(bias))
-        if policy.memory is not None:
-            _remember(model.policy, actor.features.sizes, policy.memory)
-
-
-def _remember(policy: Any, sizes: torch.Tensor, unit: MemoryUnit) -> None:
-    """Give a recurrent policy's memory the weights of a file's."""
-    gates, end = (policy.gru, "") if unit.kind == "gru" else (policy.lstm_actor, "_l0")
-    for name, part in zip(("weight_ih", "weight_hh", "bias_ih", "bias_hh"), PARTS, strict=True):
-        given = torch.from_numpy(getattr(unit, part))
-        getattr(gates, name + end).copy_(given / sizes.cpu() if part == "input_weight" else given)
+        if policy.memory is not None and (own_memory := memory_of(model)) is not None:
+            kind, tensors = own_memory
+            for name, part in policy.memory.parts.items():
+                given = torch.from_numpy(part)
+                tensors[name].copy_(given / actor.features.sizes.cpu() if name == kind.entry else given)
 
 
 def _require_like(own: PolicyFile, given: PolicyFile) -> None:
@@ -85,11 +80,27 @@ def _require_like(own: PolicyFile, given: PolicyFile) -> None:
     require(own.output == given.output, "output", given.output, remedy)
     require(own.activation == given.activation, "activation", given.activation, f"here {own.activation}")
     require(own.direct or not given.direct, "direct path", True, "this actor has none")
-    kinds = [None if p.memory is None else (p.memory.kind, p.memory.units) for p in (own, given)]
-    require(kinds[0] == kinds[1], "memory", kinds[1], f"here {kinds[0]}")
+    kinds = ["none" if p.memory is None else p.memory.summary for p in (own, given)]
+    if kinds[0] != kinds[1]:
+        remedy = f"here {kinds[0]}: {_memory_remedy(own.memory, given.memory)}"
+        require(False, "memory", kinds[1], remedy)
     widths = [[len(bias) for bias in policy.biases[:-1]] for policy in (own, given)]
     asked = " ".join(map(str, widths[1]))
     require(widths[0] == widths[1], "layers", asked, f"here others: give --config.net-arch {asked}")
+
+
+def _memory_remedy(own: MemoryUnit | None, given: MemoryUnit | None) -> str:
+    """Return what makes a policy with the memory of another."""
+    if own is not None and given is not None and (own.kind, own.units) == (given.kind, given.units):
+        return "no option changes the dilations"
+    widths = {} if own is None else {own.kind: 0}
+    widths |= {} if given is None else {given.kind: given.units}
+    if "lstm" in widths:
+        return "only recurrent-ppo has an lstm"
+    return "give " + " ".join(
+        f"--config.ALGORITHM.{MEMORY_OPTIONS[kind].replace('_', '-')} {width}"
+        for kind, width in widths.items()
+    )
 
 
 def _same_law(own: EstimatedLaw | None, given: EstimatedLaw | None) -> bool:

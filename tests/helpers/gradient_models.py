@@ -4,9 +4,8 @@ import torch
 
 from agents.learning.apg.algorithm import AnalyticPolicyGradient
 from agents.learning.features import LinearFeatures, feature_matrix, feature_sizes
-from agents.learning.networks import GRUPolicy
+from agents.learning.networks import DirectPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
-from agents.training.model_factory import DirectPolicy
 
 
 def policy_options(scenario, believed=False, **options):
@@ -22,10 +21,10 @@ def policy_options(scenario, believed=False, **options):
     }
 
 
-def model_on(scenario, *, lanes=3, memory=False, base=None, authority=1.0, gain=0.002, **options):
-    """A small model whose actions are of the order of `gain`."""
+def model_on(scenario, *, lanes=3, memory=None, base=None, authority=1.0, gain=0.002, **options):
+    """A small model whose actions are of the order of `gain`; `memory` is a `MemoryPolicy`'s class."""
     env = ShakeTableVecEnv(scenario, lanes, base=base, authority=authority, reward_scale=0.01)
-    kind, units = (GRUPolicy, {"units": 8}) if memory else (DirectPolicy, {})
+    kind, units = (memory, {"units": 8}) if memory else (DirectPolicy, {})
     options_of_policy = policy_options(scenario, believed=env.law is not None, **units)
     model = AnalyticPolicyGradient(
         kind, env, policy_kwargs=options_of_policy, seed=1, device="cpu",

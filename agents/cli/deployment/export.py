@@ -118,15 +118,14 @@ class Export(CommandOptions):
 
         policy = load_policy(policy_path(self.controller))
         export_onnx(policy, target)
-        states = 0 if policy.memory is None else policy.memory.arrays
+        widths = () if policy.memory is None else policy.memory.state_widths
         console.print(f"wrote {target}: observation (N, {policy.observation_size}) to action (N, 1)")
-        if policy.memory is not None:
-            console.print(
-                f"state: {states} inputs and outputs (N, {policy.memory.units}), zeros at first"
-            )
+        if widths:
+            shapes = ", ".join(f"(N, {width})" for width in widths)
+            console.print(f"state: inputs and outputs {shapes}, zeros at first")
         return {
             "output": str(target),
             "observation_size": policy.observation_size,
-            "states": states,
+            "states": len(widths),
             "units": 0 if policy.memory is None else policy.memory.units,
         }

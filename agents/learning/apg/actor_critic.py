@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from stable_baselines3.common.policies import ActorCriticPolicy
 
-from agents.learning.networks import GRUPolicy
+from agents.learning.memory_policies import MemoryPolicy
 
 Features = tuple[torch.Tensor, torch.Tensor]  # what actor and critic are given of an observation
 
@@ -32,16 +32,16 @@ def trained_parameters(
 def latent(
     policy: ActorCriticPolicy, observation: torch.Tensor, memory: torch.Tensor | None
 ) -> tuple[Features, torch.Tensor | None]:
-    """Return the features (N, f) of actor and critic, and the policy's new memory (N, units).
+    """Return the features (N, f) of actor and critic, and the policy's new memory (N, memory).
 
     Parameters
     ----------
     observation
         (N, n).
     memory
-        (N, units) of a recurrent policy; None of another.
+        (N, memory) of a policy with one; None of another.
     """
-    if isinstance(policy, GRUPolicy):
+    if isinstance(policy, MemoryPolicy):
         assert memory is not None  # the caller begins with `rest`
         recalled, memory = policy.recall(observation, memory)
         return (recalled, recalled), memory

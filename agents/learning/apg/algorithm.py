@@ -25,7 +25,7 @@ from agents.learning.apg.actor_critic import latent, set_gradient, state_value, 
 from agents.learning.apg.loop_gradient import Kept
 from agents.learning.apg.td_lambda import td_lambda_targets
 from agents.learning.apg.window_rollout import Window, WindowRollout
-from agents.learning.networks import GRUPolicy
+from agents.learning.memory_policies import GRUPolicy, MemoryPolicy, TCNPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
 from shake_env.errors import ParameterError
 from shake_env.simulation.engine import LaneState
@@ -54,7 +54,8 @@ class AnalyticPolicyGradient(BaseAlgorithm):
     Parameters
     ----------
     policy
-        ``"MlpPolicy"``, ``"GRUPolicy"`` or a subclass of `ActorCriticPolicy` with a Gaussian action.
+        ``"MlpPolicy"``, ``"GRUPolicy"``, ``"TCNPolicy"`` or a subclass of `ActorCriticPolicy` with a
+        Gaussian action.
     env
         A `ShakeTableVecEnv`; no other has a plant to differentiate. None to only predict.
     learning_rate
@@ -97,6 +98,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
         "MlpPolicy": ActorCriticPolicy,
         "GRUPolicy": GRUPolicy,
+        "TCNPolicy": TCNPolicy,
     }
     policy: ActorCriticPolicy
 
@@ -148,7 +150,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.checkpoint = checkpoint
         self.stagger = stagger
         self.step_check = step_check
-        self.memory: torch.Tensor | None = None  # (N, units) recurrent policy's, at a window's start
+        self.memory: torch.Tensor | None = None  # (N, memory) the policy's, at a window's start
         self.retreats = self.halvings = 0
         self._tables: WindowRollout | None = None
         if _init_setup_model:
@@ -291,7 +293,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
 
     def _begin(self) -> torch.Tensor | None:
         """Return the policy's memory at the window's start, at rest where an episode begins."""
-        if not isinstance(self.policy, GRUPolicy):
+        if not isinstance(self.policy, MemoryPolicy):
             return None
         assert self.env is not None
         rest = self.policy.rest(self.env.num_envs)

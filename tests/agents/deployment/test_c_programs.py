@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from memory_units import KINDS, random_unit
 
 from agents.deployment.accuracy import (
     EXACT,
@@ -29,7 +30,6 @@ from agents.deployment.plant import plant_program
 from agents.deployment.recorded import record_decisions
 from agents.deployment.widened import to_float64
 from agents.policies.policy_file import PolicyFile
-from agents.policies.recurrent_cells import GatedUnit, LongShortTermUnit
 from agents.policies.registry import controllers, get_controller, policies_trained_for
 from baselines.estimation.adaptive import CertaintyEquivalence
 from baselines.estimation.specimen_bank import SpecimenBank
@@ -225,11 +225,11 @@ def test_a_supervised_program_takes_every_observation_as_python_does():
 # Networks with a memory that no shipped policy has, and the description itself
 
 
-@pytest.mark.parametrize(("unit", "gates"), [(GatedUnit, 3), (LongShortTermUnit, 4)])
+@pytest.mark.parametrize("unit", KINDS)
 @pytest.mark.parametrize(
     ("direct", "activation", "output"), [(False, "tanh", "tanh"), (True, "relu", "clip")]
 )
-def test_every_network_is_exported(unit, gates, direct, activation, output):
+def test_every_network_is_exported(unit, direct, activation, output):
     rng = np.random.default_rng(0)
 
     def array(*shape):
@@ -242,11 +242,13 @@ def test_every_network_is_exported(unit, gates, direct, activation, output):
         weights=(array(8, width), array(1, 8 + (width if direct else 0))), biases=(array(8), array(1)),
         activation=activation, output=output, base=array(n) * np.float32(0.2), authority=0.5,
         card={"made": "here"}, direct=direct,
-        memory=unit(array(6 * gates, 4), array(6 * gates, 6), array(6 * gates), array(6 * gates)),
+        memory=random_unit(unit, 4, 6),
     )  # fmt: skip
     decisions = record_decisions(to_float64(policy), scenario, noise_earthquakes(scenario, 2))
     program = as_program(policy, scenario, "made", "a made policy", {"made": 'by "a" test'})
     assert_exact(action_differences(CompiledProgram(program), decisions))
+    single = CompiledProgram(replace(program, precision="float32"))
+    assert action_differences(single, decisions).max() < SINGLE
 
 
 @pytest.mark.parametrize("scenario", ["linear", "unknown-specimen"])

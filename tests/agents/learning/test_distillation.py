@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from agents.learning.distillation import Distillation
-from agents.learning.networks import DirectPolicy, GRUPolicy
+from agents.learning.memory_policies import GRUPolicy, TCNPolicy
+from agents.learning.networks import DirectPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_law
 from agents.policies.policy_file import load_policy
@@ -33,7 +34,7 @@ def model_of(kind, teacher="lqg-dac", duration=1.0, **options):
     return Distillation(kind, env, make_baseline(teacher, scenario), **given)
 
 
-@pytest.mark.parametrize("kind", [DirectPolicy, GRUPolicy])
+@pytest.mark.parametrize("kind", [DirectPolicy, GRUPolicy, TCNPolicy])
 def test_labels_are_what_the_teacher_would_add_to_the_base_controller(kind):
     model = model_of(kind)
     labels = model.collect(by_teacher=True)
@@ -49,14 +50,14 @@ def test_labels_are_what_the_teacher_would_add_to_the_base_controller(kind):
         shown, _, begun, _ = own.step(action)
 
 
-@pytest.mark.parametrize("kind", [DirectPolicy, GRUPolicy])
+@pytest.mark.parametrize("kind", [DirectPolicy, GRUPolicy, TCNPolicy])
 def test_a_student_comes_near_its_teacher_where_it_drives_itself(kind):
     model = model_of(kind, learning_rate=2e-3, n_epochs=4)
     model.learn(3 * 200 * 3)
     first, last = model.rounds[0], model.rounds[-1]
     assert len(model.rounds) == 3
     mean = [0.0]
-    memory, errors = model._rest(), []
+    memory, errors = model._rest(3), []
     torch = pytest.importorskip("torch")
     with torch.no_grad():
         for t in range(200):
@@ -66,6 +67,32 @@ def test_a_student_comes_near_its_teacher_where_it_drives_itself(kind):
             errors.append(mean.numpy() - last.correction[t])
     assert np.std(errors) < 0.5 * np.std(last.correction)
     assert not np.array_equal(first.shown[50], last.shown[50])
+
+
+def test_a_convolution_is_fitted_to_what_it_does_at_the_table():
+    """Sequences cut out of a round mean what the student means there, whatever stood before them."""
+    torch = pytest.importorskip("torch")
+    model = model_of(TCNPolicy, duration=0.65)  # 130 periods: the last sequence begins within an episode
+    labels = model.collect(by_teacher=True)
+    assert labels.begun[130].all() and len(labels.begun) == 160
+    expected, memory = [], model._rest(3)
+    with torch.no_grad():
+        for t in range(160):
+            mean, memory = model._mean(
+                torch.from_numpy(labels.shown[t]), memory, torch.from_numpy(labels.begun[t])
+            )
+            expected.append(mean.numpy())
+        model.rounds = [labels]
+        found = [
+            (label.numpy(), model._means(shown, memory, begun)[-40:].numpy())
+            for shown, label, begun, memory in model._batches()
+        ]
+    wanted = dict(zip(labels.correction.ravel(), np.ravel(expected), strict=True))
+    assert len(wanted) == 160 * 3  # a label names its place
+    for label, mean in found:
+        places = np.array([wanted[each] for each in label.ravel()])
+        np.testing.assert_allclose(mean.ravel(), places, rtol=1e-4, atol=1e-6)
+    assert sum(label.size for label, _ in found) == 160 * 3
 
 
 def test_an_informed_teacher_is_told_the_plant_of_each_table():

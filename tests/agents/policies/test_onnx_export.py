@@ -5,11 +5,12 @@ import sys
 
 import numpy as np
 import pytest
+from memory_units import KINDS, random_unit
 
 from agents.__main__ import main
 from agents.policies.onnx_export import export_onnx
 from agents.policies.policy_file import PolicyFile, load_policy
-from agents.policies.recurrent_cells import GatedUnit, LongShortTermUnit, initial_state
+from agents.policies.recurrent_cells import initial_state
 from agents.policies.registry import shipped_policy
 
 onnxruntime = pytest.importorskip("onnxruntime")
@@ -28,10 +29,7 @@ def made(memory, direct=False, activation="relu", output="clip"):
     def array(*shape):
         return rng.normal(0.0, 0.7, shape).astype(np.float32)
 
-    unit = None
-    if memory is not None:
-        gates = {GatedUnit: 3, LongShortTermUnit: 4}[memory]
-        unit = memory(array(6 * gates, 4), array(6 * gates, 6), array(6 * gates), array(6 * gates))
+    unit = None if memory is None else random_unit(memory, 4, 6)
     width = 4 + (6 if memory else 0)
     return PolicyFile(
         matrix=array(4, 5),
@@ -51,7 +49,7 @@ def made(memory, direct=False, activation="relu", output="clip"):
 # Observation and weights are finite, and actions are compared. OpenBLAS can leave the flag of an invalid
 # operation on memory of its own that pads a block (numpy issue 24067): it says nothing of the product.
 @pytest.mark.filterwarnings("ignore:invalid value encountered in matmul:RuntimeWarning")
-@pytest.mark.parametrize("memory", [None, GatedUnit, LongShortTermUnit])
+@pytest.mark.parametrize("memory", [None, *KINDS])
 @pytest.mark.parametrize(
     ("direct", "activation", "output"), [(False, "relu", "clip"), (True, "tanh", "tanh")]
 )

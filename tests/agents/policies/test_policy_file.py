@@ -8,6 +8,8 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from safetensors import safe_open
+from safetensors.numpy import save_file
 from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
 
 from agents.learning.features import feature_matrix
@@ -66,11 +68,12 @@ def test_a_file_gives_the_action_that_sb3_gives(algorithm, friction, tmp_path):
     assert policy.card == {"seed": 0}
 
 
+@pytest.mark.parametrize("memory", ["gru_hidden_size", "tcn_channels"])
 @pytest.mark.parametrize("name", ["laboratory", "unknown-specimen"])
-def test_a_file_with_a_memory_gives_the_action_that_sb3_gives(name, tmp_path):
+def test_a_file_with_a_memory_gives_the_action_that_sb3_gives(name, memory, tmp_path):
     scenario = make_scenario(name)
     env = ShakeTableVecEnv(scenario, 2)
-    options = APGOptions(n_envs=2, gru_hidden_size=16)
+    options = APGOptions(n_envs=2, **{memory: 16})
     model = new_model(TrainConfig(algorithm="apg", apg=options), scenario, env)
     for parameter in model.policy.parameters():
         parameter.data.mul_(1.5)
@@ -251,6 +254,33 @@ def test_a_policy_reads_its_own_samples_out_of_a_finer_preview(memory, tmp_path)
         expected, own = policy.predict(seen[:, places], own)
         np.testing.assert_allclose(action, expected, atol=1e-6)
     assert np.ptp(action) > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("header", "wrong"),
+    [
+        ({"memory": "elman"}, "memory = '?elman'?: known: gru, lstm, tcn"),
+        ({"dilations": [1, 4]}, "memory arrays.*conv_weight_2"),
+        ({"dilations": [1, 4, 16.0]}, "memory dilations"),
+        ({"dilations": [1, 4, 10**9]}, "memory dilations.*at most"),
+        ({"dilations": None}, "lacks"),
+        ({"memory": "gru"}, "lacks 'memory.input_weight'"),
+    ],
+    ids=str,
+)
+def test_a_memory_that_a_file_does_not_hold_is_refused(header, wrong, tmp_path):
+    scenario = make_scenario("linear")
+    env = ShakeTableVecEnv(scenario, 2)
+    config = TrainConfig(algorithm="apg", apg=APGOptions(n_envs=2, tcn_channels=4))
+    path = tmp_path / "policy.safetensors"
+    export_policy(new_model(config, scenario, env), env, {}).save(path)
+    assert load_policy(path).memory.summary == "tcn, 4 units, kernel 3, dilations 1 4 16"
+    with safe_open(str(path), framework="np") as file:
+        given = json.loads(file.metadata()["shake"])
+        arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    save_file(arrays, path, {"shake": json.dumps({**given, **header})})
+    with pytest.raises(PolicyFileError, match=wrong):
+        load_policy(path)
 
 
 def test_a_missing_file_is_named(tmp_path):

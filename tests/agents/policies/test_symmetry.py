@@ -61,6 +61,7 @@ def test_a_memory_is_refused():
     for options in (
         {"algorithm": "recurrent-ppo"},
         {"algorithm": "apg", "apg": APGOptions(gru_hidden_size=4)},
+        {"algorithm": "apg", "apg": APGOptions(tcn_channels=4)},
     ):
         with pytest.raises(ParameterError, match="odd_symmetry"):
             TrainConfig(odd_symmetry=True, **options)

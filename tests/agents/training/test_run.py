@@ -26,7 +26,7 @@ from agents.training.run import resume, train
 from shake_env.errors import ParameterError, RunDirectoryError
 
 
-def small(algorithm, memory=0, paired=False, scenario="linear", **changes):
+def small(algorithm, memory=0, channels=0, paired=False, scenario="linear", **changes):
     """A run of a few seconds that checkpoints between any two roll-outs."""
     return TrainConfig(
         algorithm=algorithm,
@@ -53,9 +53,20 @@ def small(algorithm, memory=0, paired=False, scenario="linear", **changes):
             n_envs=4, n_steps=32, batch_size=64, n_epochs=2, lstm_hidden_size=8, paired=paired
         ),
         dagger=DaggerOptions(
-            teacher="lqg-dac", base_controller="lqg", n_envs=3, batch_size=60, sequence_length=20
+            teacher="lqg-dac",
+            base_controller="lqg",
+            n_envs=3,
+            batch_size=60,
+            sequence_length=20,
+            tcn_channels=channels,
         ),
-        apg=APGOptions(n_envs=4, rollout_horizon=16, gru_hidden_size=memory, terminal_value=True),
+        apg=APGOptions(
+            n_envs=4,
+            rollout_horizon=16,
+            gru_hidden_size=memory,
+            tcn_channels=channels,
+            terminal_value=True,
+        ),
         net_arch=(16,),
         episode_duration=0.2,
         total_timesteps=512,
@@ -76,11 +87,13 @@ def small(algorithm, memory=0, paired=False, scenario="linear", **changes):
         ("recurrent-ppo", {"scenario": "unknown-specimen"}),
         ("apg", {}),
         ("apg", {"memory": 8, "scenario": "unknown-specimen"}),
+        ("apg", {"channels": 4, "scenario": "unknown-specimen"}),
         ("apg", {"num_artificial_motions": 3, "scenario": "laboratory"}),
         ("ppo", {"paired": True, "scenario": "unknown-specimen"}),
         ("recurrent-ppo", {"paired": True, "scenario": "laboratory"}),
         ("sac", {"paired": True}),
         ("dagger", {"scenario": "laboratory"}),
+        ("dagger", {"channels": 4, "scenario": "laboratory"}),
     ],
     ids=str,
 )
@@ -99,7 +112,7 @@ def test_an_interrupted_run_ends_with_the_same_parameters(algorithm, options, tm
     assert resumed.steps == whole.steps
     assert resumed.cost == whole.cost
     one, two = (load_policy(tmp_path / run / "policy.safetensors") for run in ("whole", "cut"))
-    memories = ([*vars(p.memory).values()] if p.memory else [] for p in (one, two))
+    memories = ([*p.memory.parts.values()] if p.memory else [] for p in (one, two))
     pairs = zip(*memories, strict=True)
     for a, b in (*zip((*one.weights, *one.biases), (*two.weights, *two.biases), strict=True), *pairs):
         np.testing.assert_array_equal(a, b)
@@ -174,6 +187,8 @@ def test_the_configuration_survives_its_file(tmp_path):
         {"tqc": TQCOptions(top_quantiles_to_drop_per_net=25)},
         {"apg": APGOptions(lr_warmup_fraction=1.0)},
         {"ppo": PPOOptions(critic_warmup_fraction=1.0)},
+        {"dagger": DaggerOptions(gru_hidden_size=8, tcn_channels=8)},
+        {"dagger": DaggerOptions(tcn_channels=-1)},
     ],
 )
 def test_bad_options_are_named(bad):
@@ -181,6 +196,7 @@ def test_bad_options_are_named(bad):
         "ppo": "n_epochs|critic_warmup_fraction",
         "tqc": "top_quantiles",
         "apg": "lr_warmup_fraction",
+        "dagger": "tcn_channels = (8: a policy has one memory|-1)",
     }
     with pytest.raises(ParameterError, match=name.get(key := next(iter(bad)), key)):
         TrainConfig(**bad)

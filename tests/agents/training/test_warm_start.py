@@ -67,6 +67,10 @@ def policy_of(config):
             TrainConfig(algorithm="apg", apg=APGOptions(gru_hidden_size=8), scenario=FRICTION),
         ),
         (
+            TrainConfig(algorithm="apg", apg=APGOptions(tcn_channels=8), scenario=FRICTION),
+            TrainConfig(algorithm="apg", apg=APGOptions(tcn_channels=8), scenario=FRICTION),
+        ),
+        (
             TrainConfig(algorithm="recurrent-ppo", scenario=FRICTION),
             TrainConfig(algorithm="recurrent-ppo", scenario=FRICTION),
         ),
@@ -202,6 +206,26 @@ def test_what_does_not_fit_is_refused_and_leaves_nothing_behind(config, wrong):
         load_actor_weights(model, env, given)
     for ours, theirs in zip(export_policy(model, env, {}).weights, before.weights, strict=True):
         np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize(
+    ("given", "own", "remedy"),
+    [
+        ({"tcn_channels": 8}, {}, "memory.*tcn, 8 units.*here none: give .*tcn-channels 8"),
+        ({"tcn_channels": 8}, {"tcn_channels": 4}, "here tcn, 4 units.*tcn-channels 8"),
+        (
+            {"tcn_channels": 8},
+            {"gru_hidden_size": 8},
+            "here gru, 8 units: give .*gru-hidden-size 0 .*tcn-channels 8",
+        ),
+        ({"actor_bias": True}, {"tcn_channels": 8}, "memory.*none.*give .*tcn-channels 0"),
+    ],
+    ids=str,
+)
+def test_another_memory_is_refused_with_the_options_that_make_it(given, own, remedy):
+    policy = policy_of(TrainConfig(algorithm="apg", apg=APGOptions(**given)))
+    with pytest.raises(PolicyFileError, match=remedy):
+        load_actor_weights(*model_of(TrainConfig(algorithm="apg", apg=APGOptions(**own))), policy)
 
 
 def test_a_direct_path_and_biases_need_their_place():

@@ -4,11 +4,15 @@
     int age; /* control periods since the start, up to {{ b.periods - 1 }} */
     int started;
 {% endif %}
-{% if b.memory %}
+{% if b.memory == "tcn" %}
+{% for width in b.states %}
+    real past_{{ loop.index0 }}[{{ width }}]; /* what a convolution will still read, the oldest first */
+{% endfor %}
+{% elif b.memory %}
     real hidden[{{ b.units }}]; /* memory of the recurrent unit */
-{% endif %}
 {% if b.memory == "lstm" %}
     real cell[{{ b.units }}];
+{% endif %}
 {% endif %}
     real action; /* last action [-] */
 {% endmacro %}
@@ -51,12 +55,12 @@ static void {{ b.name }}_look({{ b.type }} *s, const real *y, real *x)
 {% endmacro %}
 {% macro gru(b) %}
 /* Gated recurrent unit (Cho et al., 2014); gates: reset, update, new. */
-static void {{ b.name }}_recall({{ b.type }} *s, const real *features)
+static void {{ b.name }}_recall({{ b.type }} *s, real *entering)
 {
     real from_input[{{ 3 * b.units }}];
     real from_memory[{{ 3 * b.units }}];
 
-    affine({{ b.name }}_input_weight, {{ b.name }}_input_bias, {{ 3 * b.units }}, {{ b.features }}, features, from_input);
+    affine({{ b.name }}_input_weight, {{ b.name }}_input_bias, {{ 3 * b.units }}, {{ b.features }}, entering, from_input);
     affine({{ b.name }}_hidden_weight, {{ b.name }}_hidden_bias, {{ 3 * b.units }}, {{ b.units }}, s->hidden, from_memory);
     for (int i = 0; i < {{ b.units }}; i++) {
         const real reset = logistic(from_input[i] + from_memory[i]);
@@ -65,16 +69,17 @@ static void {{ b.name }}_recall({{ b.type }} *s, const real *features)
 
         s->hidden[i] = proposed + update * (s->hidden[i] - proposed);
     }
+    copy(s->hidden, &entering[{{ b.features }}], {{ b.units }});
 }
 
 {% endmacro %}
 {% macro lstm(b) %}
 /* Long short-term memory (Hochreiter and Schmidhuber, 1997); gates: input, forget, cell, output. */
-static void {{ b.name }}_recall({{ b.type }} *s, const real *features)
+static void {{ b.name }}_recall({{ b.type }} *s, real *entering)
 {
     real sums[{{ 4 * b.units }}];
 
-    affine({{ b.name }}_input_weight, {{ b.name }}_input_bias, {{ 4 * b.units }}, {{ b.features }}, features, sums);
+    affine({{ b.name }}_input_weight, {{ b.name }}_input_bias, {{ 4 * b.units }}, {{ b.features }}, entering, sums);
     add_product({{ b.name }}_hidden_weight, {{ 4 * b.units }}, {{ b.units }}, s->hidden, sums);
     for (int i = 0; i < {{ 4 * b.units }}; i++) {
         sums[i] += {{ b.name }}_hidden_bias[i];
@@ -83,6 +88,34 @@ static void {{ b.name }}_recall({{ b.type }} *s, const real *features)
         s->cell[i] = logistic(sums[{{ b.units }} + i]) * s->cell[i] + logistic(sums[i]) * real_tanh(sums[{{ 2 * b.units }} + i]);
         s->hidden[i] = logistic(sums[{{ 3 * b.units }} + i]) * real_tanh(s->cell[i]);
     }
+    copy(s->hidden, &entering[{{ b.features }}], {{ b.units }});
+}
+
+{% endmacro %}
+{% macro tcn(b) %}
+{% set taps = b.conv_weight_0.size // (b.features * b.units) %}
+/* Causal dilated convolutions (Bai, Kolter and Koltun, 2018). */
+static void {{ b.name }}_recall({{ b.type }} *s, real *entering)
+{
+    real *made = &entering[{{ b.features }}];
+    real read[{{ taps * [b.features, b.units]|max }}];
+    real layer[{{ b.units }}];
+
+{% for apart in b.dilations %}
+{% set inputs = b.units if loop.index0 else b.features %}
+{% set past = "s->past_%d"|format(loop.index0) %}
+{% set width = b.states[loop.index0] %}
+    for (int k = 0; k < {{ taps - 1 }}; k++) {
+        copy(&{{ past }}[k * {{ apart * inputs }}], &read[k * {{ inputs }}], {{ inputs }});
+    }
+    copy({{ "made" if loop.index0 else "entering" }}, &read[{{ (taps - 1) * inputs }}], {{ inputs }});
+    copy(&{{ past }}[{{ inputs }}], {{ past }}, {{ width - inputs }}); /* the oldest value goes */
+    copy(&read[{{ (taps - 1) * inputs }}], &{{ past }}[{{ width - inputs }}], {{ inputs }});
+    affine({{ b.name }}_conv_weight_{{ loop.index0 }}, {{ b.name }}_conv_bias_{{ loop.index0 }}, {{ b.units }}, {{ taps * inputs }}, read, layer);
+    for (int i = 0; i < {{ b.units }}; i++) {
+        made[i] = {{ "made[i] + " if loop.index0 }}larger(layer[i], {{ 0.0|real }});
+    }
+{% endfor %}
 }
 
 {% endmacro %}
@@ -91,7 +124,8 @@ static void {{ b.name }}_recall({{ b.type }} *s, const real *features)
 {{ law(b) }}{% endif %}
 {% if b.memory == "gru" %}
 {{ gru(b) }}{% elif b.memory == "lstm" %}
-{{ lstm(b) }}{% endif %}
+{{ lstm(b) }}{% elif b.memory == "tcn" %}
+{{ tcn(b) }}{% endif %}
 static void {{ b.name }}_reset({{ b.type }} *s)
 {
 {% if b.law %}
@@ -99,11 +133,15 @@ static void {{ b.name }}_reset({{ b.type }} *s)
     s->age = 0;
     s->started = 0;
 {% endif %}
-{% if b.memory %}
+{% if b.memory == "tcn" %}
+{% for width in b.states %}
+    fill(s->past_{{ loop.index0 }}, {{ width }}, {{ 0.0|real }});
+{% endfor %}
+{% elif b.memory %}
     fill(s->hidden, {{ b.units }}, {{ 0.0|real }});
-{% endif %}
 {% if b.memory == "lstm" %}
     fill(s->cell, {{ b.units }}, {{ 0.0|real }});
+{% endif %}
 {% endif %}
     s->action = {{ 0.0|real }};
 }
@@ -128,8 +166,7 @@ static void {{ b.name }}_step({{ b.type }} *s, const real *y, real *action)
         entering[i] = clip(entering[i], {{ -b.feature_clip|real }}, {{ b.feature_clip|real }});
     }
 {% if b.memory %}
-    {{ b.name }}_recall(s, entering);
-    copy(s->hidden, &entering[{{ b.features }}], {{ b.units }});
+    {{ b.name }}_recall(s, entering); /* its output stands behind the features */
 {% endif %}
 {% set before = namespace(name="entering", size=b.features + b.units) %}
 {% for width in b.widths %}

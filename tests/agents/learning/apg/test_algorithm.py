@@ -12,6 +12,7 @@ from agents.learning.apg.actor_critic import state_value
 from agents.learning.apg.algorithm import AnalyticPolicyGradient
 from agents.learning.apg.torch_plant import PeriodMap, torch_model
 from agents.learning.apg.window_rollout import WindowRollout
+from agents.learning.memory_policies import GRUPolicy, TCNPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_row
 from agents.training.algorithm_options import APGOptions
@@ -33,8 +34,9 @@ SPECIMENS = {"fields": {"uncertainty.mass_ratio": [0.1, 1.0], "delay": 2.5}}
     [
         ("linear", {}, {}),
         ("linear", {}, {"terminal_value": False, "base": "lqr", "authority": 0.3}),
-        ("linear", FRICTION, {"memory": True}),
-        ("linear", SPECIMENS, {"memory": True}),
+        ("linear", FRICTION, {"memory": GRUPolicy}),
+        ("linear", SPECIMENS, {"memory": GRUPolicy}),
+        ("linear", SPECIMENS, {"memory": TCNPolicy}),
         ("yielding", {}, {"gain": 0.0005}),
     ],
     ids=str,
@@ -74,7 +76,7 @@ def test_gradient_of_a_windows_cost_agrees_with_finite_differences(name, overrid
             assert abs(gradient @ direction - numeric) < 1e-5 * np.linalg.norm(gradient)
 
 
-@pytest.mark.parametrize("memory", [False, True])
+@pytest.mark.parametrize("memory", [None, GRUPolicy, TCNPolicy])
 @pytest.mark.parametrize("name", ["linear", "laboratory", "unknown-specimen", "records"])
 def test_a_window_is_what_the_environment_does_under_the_same_policy(name, memory):
     scenario = make_scenario(name, {"duration": 0.2} if name != "records" else {})
@@ -99,7 +101,7 @@ def test_a_window_is_what_the_environment_does_under_the_same_policy(name, memor
 
 def test_a_motion_that_ends_within_a_window_counts_to_its_end_and_the_next_one_begins():
     scenario = make_scenario("linear", {"duration": 0.1})  # 20 control periods
-    model = model_on(scenario, lanes=3, memory=True)
+    model = model_on(scenario, lanes=3, memory=GRUPolicy)
     model.env.simulation.episode_steps[:] = (20, 12, 5)
     _, window, _ = model.window_loss()
     assert window.steps.tolist() == [12, 12, 5]
@@ -181,7 +183,7 @@ def test_targets_of_the_critic_are_lambda_returns():
 
 
 def test_states_between_windows_are_data():
-    model = model_on(make_scenario(), memory=True)
+    model = model_on(make_scenario(), memory=GRUPolicy)
     model.train()
     assert not model.memory.requires_grad
     assert isinstance(model.env.simulation.state, np.ndarray)
@@ -285,7 +287,7 @@ def test_another_environment_is_refused_with_the_remedy():
         AnalyticPolicyGradient("MlpPolicy", env, plant_dtype="half", device="cpu")
 
 
-@pytest.mark.parametrize("memory", [False, True])
+@pytest.mark.parametrize("memory", [None, GRUPolicy])
 def test_a_step_that_would_cost_its_own_window_more_is_halved_or_dropped(memory):
     model = model_on(make_scenario("linear"), memory=memory, terminal_value=False)
     for _ in range(4):  # away from rest

@@ -6,6 +6,7 @@ from gradient_models import model_on
 
 from agents.learning.apg.closed_loop import ClosedLoop
 from agents.learning.apg.window_rollout import WindowRollout
+from agents.learning.memory_policies import GRUPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_law
 from agents.training.algorithm_options import APGOptions
@@ -60,7 +61,7 @@ def test_segments_are_run_again_where_a_whole_window_is_swept_in_numpy(monkeypat
     ("name", "overrides", "options"),
     [
         ("linear", {}, {}),
-        ("linear", SPECIMENS, {"memory": True, "terminal_value": False}),
+        ("linear", SPECIMENS, {"memory": GRUPolicy, "terminal_value": False}),
         ("laboratory", {}, {}),
         ("yielding", {}, {"gain": 0.0005}),
     ],
