@@ -5,7 +5,7 @@ knowing it. Its stage cost over time, divided by that of nonlinear predictive co
 plant (`baselines.planning.informed`), shows how fast it learns: both meet the same shaking at the same
 time, so that the envelope of an earthquake divides out.
 
-It does not divide out entirely, since friction and the sensors' noise count more in weak shaking. Each
+It does not divide out entirely: in weak shaking controllers differ for other reasons as well. Each
 policy with a memory therefore also runs with its memory cleared once, in full shaking, and is compared
 with itself: only what the memory held differs.
 """

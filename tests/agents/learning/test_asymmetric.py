@@ -173,8 +173,8 @@ def test_without_a_critic_it_is_refused():
 
 def test_differences_to_the_base_law_have_critics_that_can_see_more():
     few = SACOptions(
-        n_envs=2, learning_starts=4, batch_size=4, gradient_steps=1, buffer_size=100, paired=True, asymmetric_critic=True,
-        base_controller="lqg-searched", residual_scale=0.02,
+        n_envs=2, learning_starts=4, batch_size=4, gradient_steps=1, buffer_size=100,
+        paired=True, asymmetric_critic=True, base_controller="lqg-searched", residual_scale=0.02,
     )  # fmt: skip
     config = TrainConfig(
         algorithm="sac", scenario=ScenarioOptions("laboratory"), sac=few, episode_duration=0.2
