@@ -9,7 +9,6 @@ import tyro
 from rich.console import Console
 
 from agents.cli.command_options import FolderOptions
-from agents.policies.registry import SHIPPED, policies_trained_for
 from agents.progress import progress_bar
 from agents.reporting.terminal import print_markdown
 from agents.scenario_options import ScenarioOptions
@@ -53,6 +52,7 @@ class Adaptation(FolderOptions):
 
     def run(self, console: Console) -> dict[str, Any]:
         """Measure, print, draw."""
+        from agents.policies.registry import SHIPPED, policies_trained_for
         from agents.studies.adaptation.result import AdaptationSettings, adaptation, adaptation_table
         from shake_env.files import write_json
 
