@@ -29,6 +29,7 @@ from shake_env.scenario.scenario_writer import SCHEMA_FILE  # noqa: E402
 ARCHITECTURE = DOCS / "architecture.md"
 SB3_GUIDE = DOCS / "howto" / "train_with_sb3.md"
 TRAINING = DOCS / "training.md"
+FIELD = DOCS / "scenarios" / "field.md"
 CLUSTER = DOCS / "howto" / "cluster.md"
 DEPLOY = DOCS / "howto" / "deploy.md"
 
@@ -47,6 +48,7 @@ def pages() -> dict[Path, str]:
         SB3_GUIDE: with_block(SB3_GUIDE, "sb3 guide", results.sb3_guide()),
         CLUSTER: with_block(CLUSTER, "execution figures", results.execution_figures()),
         TRAINING: with_block(TRAINING, "gradient noise", results.gradient_noise()),
+        FIELD: with_block(FIELD, "adaptation", results.adaptation()),
         DEPLOY: with_block(DEPLOY, "deployment figures", deployment_figures()),
     }
     for page, place, text in (

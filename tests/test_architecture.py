@@ -287,7 +287,7 @@ def users_of_studies(texts):
 
 def test_studies_stand_apart_from_all_but_their_commands():
     texts = {name: path.read_text(encoding="utf-8") for name, path in sources()}
-    commands = ("gradient_noise", "plot_components", "reproduce", "validate_transients")
+    commands = ("adaptation", "gradient_noise", "plot_components", "reproduce", "validate_transients")
     assert users_of_studies(texts) == {f"agents.cli.studies.{name}" for name in commands}
     wrong = {"agents.motions.figure": "def f():\n    from agents.studies.validation import run"}
     assert users_of_studies(wrong) == set(wrong)

@@ -104,6 +104,9 @@ COMMANDS = {
         "GradientNoiseCommand",
         "How many samples a score-function gradient needs.",
     ),
+    "adaptation": Command(
+        "agents.cli.studies.adaptation", "Adaptation", "How fast controllers learn a drawn plant."
+    ),
     "reproduce": Command(
         "agents.cli.studies.reproduce", "Reproduce", "Tables and figures of Gavin and Hoagg (2009)."
     ),

@@ -52,7 +52,7 @@ def feature_matrix(scenario: Scenario, believed: bool = False) -> FloatArray:
     columns = np.arange(shown.size)
     if scenario.sensing.full_state:
         states = scenario.plant.layout.order
-        matrix[:states, :states] = _full_state(scenario)
+        matrix[:states, :states] = full_state_matrix(scenario)
         columns = np.concatenate([observable_states(scenario.plant), columns[states:]])
         if scenario.limits.table_displacement is not None:
             columns = np.arange(shown.size)  # what breaks a limit matters
@@ -88,7 +88,7 @@ def feature_sizes(scenario: Scenario, believed: bool = False) -> FloatArray:
 def _believed(scenario: Scenario) -> FloatArray:
     """Return the map (features, e) from what an `EstimatedLaw` shows."""
     layout, motion, friction = scenario.plant.layout, scenario.motion, scenario.nonlinearity.friction
-    matrix: FloatArray = block_diag(_full_state(scenario), np.eye(DISTURBANCES) / ERROR_SHARE, 1.0)
+    matrix: FloatArray = block_diag(full_state_matrix(scenario), np.eye(DISTURBANCES) / ERROR_SHARE, 1.0)
     matrix[-1] *= scenario.current_limit / REFERENCE_CURRENT
     if isinstance(motion, FilteredNoise) and motion.amplitude > 0.0:
         matrix /= motion.amplitude
@@ -164,7 +164,8 @@ def _target(scenario: Scenario) -> FloatArray:
     return row
 
 
-def _full_state(scenario: Scenario) -> FloatArray:
+def full_state_matrix(scenario: Scenario) -> FloatArray:
+    """Return the map (order, order) from a scaled full state to errors of the order of the amplitude."""
     plant, layout, scale = scenario.plant, scenario.plant.layout, scenario.plant.state_scale
     pressure, spool = layout.actuator.start + LOAD_PRESSURE, layout.actuator.start + SPOOL_POSITION
     velocity = layout.actuator.start + TABLE_VELOCITY
@@ -250,6 +251,9 @@ class FeatureMap:
 class LinearFeatures(BaseFeaturesExtractor):
     """A fixed linear map of the observation, clipped to ``+-clip``.
 
+    Entries behind those that it reads, which only a critic sees (`agents.learning.asymmetric`), are left
+    out.
+
     Parameters
     ----------
     observation_space
@@ -283,5 +287,6 @@ class LinearFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Return features (batch, features)."""
-        features = torch.clamp(observations @ self.matrix.T, -self.clip, self.clip)
+        own = observations[..., : self.matrix.shape[1]]
+        features = torch.clamp(own @ self.matrix.T, -self.clip, self.clip)
         return features * self.sizes if self.scaled else features

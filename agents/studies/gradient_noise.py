@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from agents.learning.apg.window_rollout import WindowRollout
+from agents.learning.asymmetric import AsymmetricVecEnv
 from agents.learning.features import FeatureMap
 from agents.learning.vec_env import ShakeTableVecEnv
 from agents.policies.base_law import base_law
@@ -64,6 +65,7 @@ class GradientNoise:
     stage_cost: float  # [-] mean
     slope_rms: float  # [-] cost over the rest of a window per unit of action
     explained_by_critic: float  # [-] of the return's variance
+    explained_by_asymmetric: float  # [-] of it by a critic that sees what no sensor shows
     estimators: tuple[EstimatorNoise, ...]
 
 
@@ -75,6 +77,7 @@ class Explored:
     cost: FloatArray
     shadow_cost: FloatArray
     features: NDArray[np.float32]  # (R, T, N, features)
+    privileged: NDArray[np.float32]  # (R, T, N, p) see `agents.learning.asymmetric`
 
 
 def gradient_noise(
@@ -100,7 +103,7 @@ def gradient_noise(
     features = FeatureMap(scenario, env.law is not None)
     env.seed(chosen.seed + tables)
     slopes, observations = _exact(env, features, chosen, lambda share: on_progress(0.6 * share))
-    pairs = ShakeTableVecEnv(scenario, 2 * tables, base=base, authority=chosen.residual_scale)
+    pairs = AsymmetricVecEnv(scenario, 2 * tables, base=base, authority=chosen.residual_scale)
     pairs.seed(chosen.seed)
     runs = _explore(pairs, features, chosen, lambda share: on_progress(0.6 + 0.4 * share))
     flat = observations.reshape(-1, observations.shape[-1]).astype(float)
@@ -110,11 +113,13 @@ def gradient_noise(
     judge = _Judge(exact, moments, math.exp(chosen.log_std), float(np.std(slopes)), runs)
     period = scenario.control_period
     critic, explained = _critic(runs, math.exp(-period / 0.25))
+    asymmetric, explained_by_more = _critic(runs, math.exp(-period / 0.25), privileged=True)
     difference, zero = runs.shadow_cost - runs.cost, np.zeros_like(critic)
     cases = (
         ("returns over 0.25 s", -runs.cost, zero, 0.25, 1.0),
         ("returns over 0.25 s, critic", -runs.cost, critic, 0.25, 1.0),
         ("lambda 0.9, critic", -runs.cost, critic, 0.25, 0.9),
+        ("lambda 0.9, asymmetric critic", -runs.cost, asymmetric, 0.25, 0.9),
         ("paired, lambda 0.9", difference, zero, 2.0, 0.9),
         ("paired, lambda 0.95", difference, zero, 2.0, 0.95),
         ("paired, lambda 0.99", difference, zero, 2.0, 0.99),
@@ -129,6 +134,7 @@ def gradient_noise(
         stage_cost=float(runs.shadow_cost.mean()),
         slope_rms=judge.slope,
         explained_by_critic=explained,
+        explained_by_asymmetric=explained_by_more,
         estimators=tuple(rows),
     )
 
@@ -172,7 +178,7 @@ def _exact(
 
 
 def _explore(
-    env: ShakeTableVecEnv,
+    env: AsymmetricVecEnv,
     features: FeatureMap,
     chosen: NoiseSettings,
     on_progress: Callable[[float], None],
@@ -181,18 +187,21 @@ def _explore(
     n, shape = chosen.n_envs, (chosen.rollouts, chosen.rollout, chosen.n_envs)
     lanes, shadows = range(n), range(n, 2 * n)
     noise = np.random.default_rng(chosen.seed).standard_normal(shape)
-    costs, observations = np.empty((*shape[:2], 2 * n)), []
+    costs, observations, told = np.empty((*shape[:2], 2 * n)), [], []
     shown = env.reset()
+    own = shown.shape[1] - env.privileged.size
     for number, rollout in enumerate(noise):
         env.set_state(env.get_state(lanes), shadows)
         for t, each in enumerate(rollout):
-            observations.append(features(shown[:n]))
+            observations.append(features(shown[:n, :own]))
+            told.append(shown[:n, own:])
             action = np.concatenate([math.exp(chosen.log_std) * each, np.zeros(n)])
             env.step_async(action[:, None].astype(np.float32))
             shown, reward, _, _ = env.step_wait()
             costs[number, t] = -reward
         on_progress((number + 1) / chosen.rollouts)
-    return Explored(noise, costs[..., :n], costs[..., n:], np.stack(observations).reshape(*shape, -1))
+    seen, known = (np.stack(each).reshape(*shape, -1) for each in (observations, told))
+    return Explored(noise, costs[..., :n], costs[..., n:], seen, known)
 
 
 def advantages(reward: FloatArray, values: FloatArray, gamma: float, smoothing: float) -> FloatArray:
@@ -214,10 +223,10 @@ def advantages(reward: FloatArray, values: FloatArray, gamma: float, smoothing: 
     return result
 
 
-def _critic(runs: Explored, gamma: float) -> tuple[FloatArray, float]:
+def _critic(runs: Explored, gamma: float, privileged: bool = False) -> tuple[FloatArray, float]:
     """Return values (R, T, N) by least squares on other tables, and what they explain of the returns.
 
-    Of a constant, the features' main directions and their products.
+    Of a constant, the features' main directions and their products, and the privileged entries.
     """
     returns = advantages(-runs.cost, np.zeros_like(runs.cost), gamma, 1.0)
     flat = runs.features.reshape(-1, runs.features.shape[-1]).astype(float)
@@ -225,7 +234,10 @@ def _critic(runs: Explored, gamma: float) -> tuple[FloatArray, float]:
     main = flat @ vectors[:, -CRITIC_FEATURES:]
     main /= np.sqrt(np.mean(main**2, axis=0)) + 1e-12
     i, j = np.triu_indices(main.shape[1])
-    inputs = np.concatenate([np.ones((len(main), 1)), main, main[:, i] * main[:, j]], axis=1)
+    parts = [np.ones((len(main), 1)), main, main[:, i] * main[:, j]]
+    if privileged:
+        parts.append(runs.privileged.reshape(len(main), -1).astype(float))
+    inputs = np.concatenate(parts, axis=1)
     inputs = inputs.reshape(*returns.shape, -1)
     values = np.empty_like(returns)
     half = returns.shape[2] // 2

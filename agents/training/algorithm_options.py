@@ -53,6 +53,12 @@ class PPOOptions(ProximalOptions):
     actor_bias: bool = False
     """Whether the actor has biases. Without, half the motion gets half the current, which is right for a
     linear plant; friction and limits need biases."""
+    asymmetric_critic: bool = False
+    """Whether the critic sees the true state, the drawn plant and the ground to come, which the policy
+    does not see and does not need after training. Not with paired, which has no critic."""
+    reward_gain: float = 1.0
+    """Factor on the rewards, which are scaled by 1 - discount at unit amplitude. A critic learns returns
+    of the order of 1: 1000 in laboratory. Advantages are scaled to 1 whatever it is."""
     critic_warmup_fraction: float = 0.0
     """Share of the run in which the critic alone is trained. A warm-started policy has no trained
     critic; advantages from an untrained critic degrade it."""
@@ -94,6 +100,9 @@ class OffPolicyOptions:
     paired: bool = False
     """Whether the reward is the difference to a shadow of each table, on the same earthquake and driven
     by the base controller alone."""
+    asymmetric_critic: bool = False
+    """Whether the critics see the true state, the drawn plant and the ground to come, as PPO's. Entries
+    double the memory that a transition takes."""
     reward_gain: float = 1.0
     """Factor on the rewards, which are scaled by 1 - discount at unit amplitude. Differences are smaller
     than stage costs."""

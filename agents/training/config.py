@@ -111,7 +111,7 @@ class TrainConfig:
             "log_std_init", "target_entropy", "base_controller", "actor_bias", "terminal_value",
             *MEMORY_OPTIONS.values(), "precision", "device", "top_quantiles_to_drop_per_net",
             "checkpoint_segment_length", "critic_warmup_fraction", "paired", "direct_path", "teacher",
-            "step_check",
+            "step_check", "asymmetric_critic",
         )  # fmt: skip
         every = (
             self.ppo, self.sac, self.td3, self.tqc, self.recurrent_ppo, self.apg, self.dagger,
@@ -134,6 +134,9 @@ class TrainConfig:
         require_non_negative(self.tqc, dropped := "top_quantiles_to_drop_per_net")
         if (number := self.tqc.top_quantiles_to_drop_per_net) >= self.tqc.n_quantiles:
             raise ParameterError(dropped, number, "must leave a quantile of each critic")
+        if self.ppo.asymmetric_critic and self.ppo.paired:
+            remedy = "paired roll-outs have no critic: leave out one of the two options"
+            raise ParameterError("asymmetric_critic", True, remedy)
         if not 0.0 <= (fraction := self.ppo.critic_warmup_fraction) < 1.0:
             remedy = "is a fraction of the run: 0 or more, below 1"
             raise ParameterError("critic_warmup_fraction", fraction, remedy)

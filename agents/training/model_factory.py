@@ -9,9 +9,10 @@ import torch
 from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.noise import NormalActionNoise
-from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 
 from agents.learning.apg.algorithm import AnalyticPolicyGradient
+from agents.learning.asymmetric import asymmetric
 from agents.learning.distillation import Distillation
 from agents.learning.features import LinearFeatures, feature_matrix, feature_sizes
 from agents.learning.memory_policies import GRUPolicy, MemoryPolicy, TCNPolicy
@@ -27,6 +28,7 @@ from agents.training.algorithm_options import (
     MEMORY_OPTIONS,
     APGOptions,
     DaggerOptions,
+    OffPolicyOptions,
     SACOptions,
     TD3Options,
     TQCOptions,
@@ -149,8 +151,9 @@ def _model(config: TrainConfig, scenario: Scenario, env: TrainingTables, direct:
     gamma = config.discount(scenario.control_period)
     if config.algorithm == "ppo":
         ppo = config.ppo
+        kind: type[BasePolicy] = _ACTORS[not ppo.actor_bias, direct]
         proximal = CriticWarmupPPO(
-            _ACTORS[not ppo.actor_bias, direct],
+            asymmetric(kind) if ppo.asymmetric_critic else kind,  # type: ignore[arg-type]
             env,
             n_steps=ppo.n_steps,
             batch_size=ppo.batch_size,
@@ -191,7 +194,7 @@ def _off_policy(
     }
     if isinstance(chosen, TD3Options):
         model = WarmTD3(
-            "MlpPolicy",
+            _policy_of(WarmTD3, chosen),
             env,
             policy_delay=chosen.policy_delay,
             action_noise=NormalActionNoise(np.zeros(1), np.full(1, chosen.action_noise_std)),
@@ -209,7 +212,7 @@ def _off_policy(
     if isinstance(chosen, TQCOptions):
         quantiles = {"n_quantiles": chosen.n_quantiles, "n_critics": chosen.n_critics}
         soft = WarmTQC(
-            "MlpPolicy",
+            _policy_of(WarmTQC, chosen),
             env,
             top_quantiles_to_drop_per_net=chosen.top_quantiles_to_drop_per_net,
             policy_kwargs={**policy, **quantiles},
@@ -217,10 +220,16 @@ def _off_policy(
             **common,
         )
     else:
-        soft = WarmSAC("MlpPolicy", env, policy_kwargs=policy, **entropy, **common)
+        soft = WarmSAC(_policy_of(WarmSAC, chosen), env, policy_kwargs=policy, **entropy, **common)
     _shrink(soft.actor.log_std, chosen.log_std_init)
     _shrink(soft.actor.mu)
     return soft
+
+
+def _policy_of(algorithm: type[SAC | TD3 | TQC], chosen: OffPolicyOptions) -> Any:
+    """Return the class of an algorithm's policy."""
+    usual = algorithm.policy_aliases["MlpPolicy"]
+    return asymmetric(usual) if chosen.asymmetric_critic else usual
 
 
 def _shrink(layer: object, bias: float = 0.0) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from agents.learning.asymmetric import AsymmetricVecEnv
 from agents.learning.paired import PairedVecEnv
 from agents.learning.training_scenario import make_training_scenario, reward_scale
 from agents.learning.vec_env import ShakeTableVecEnv
@@ -55,7 +56,8 @@ def training_tables(
     """
     chosen = config.chosen
     paired, gain = getattr(chosen, "paired", False), getattr(chosen, "reward_gain", 1.0)
-    tables = ShakeTableVecEnv(
+    kind = AsymmetricVecEnv if getattr(chosen, "asymmetric_critic", False) else ShakeTableVecEnv
+    tables = kind(
         training_scenario(config, scenario),
         chosen.n_envs * (2 if paired else 1),
         base=_kept_law(config, scenario, first)

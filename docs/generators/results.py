@@ -6,6 +6,7 @@ import json
 from typing import Any
 
 from agents.reporting.evaluation_tables import cost_interval, interval_text
+from agents.studies.adaptation.result import adaptation_table
 from generators import DOCS
 from generators.markdown import table
 from shake_env import SCENARIO_NAMES
@@ -145,6 +146,12 @@ def gradient_noise() -> str:
     ]
     heading = ("advantage", "share of one action", "cosine", "of the exact gradient", "samples for 1")
     return table(heading, rows)
+
+
+def adaptation() -> str:
+    """Return the costs within an episode over those of the controller that is told the plant."""
+    files = [DOCS / "results" / f"adaptation_{name}.json" for name in ("field", "unknown-specimen")]
+    return "\n".join(adaptation_table(json.loads(file.read_text(encoding="utf-8"))) for file in files)
 
 
 def execution_figures() -> str:

@@ -75,7 +75,8 @@ class GradientNoiseCommand(CommandOptions):
         ]
         print_table(console, heading, cells)
         console.print(
-            f"a quadratic critic explains {100 * result.explained_by_critic:.0f} % of the returns"
+            f"a quadratic critic explains {100 * result.explained_by_critic:.0f} % of the returns, one "
+            f"that is told state, plant and coming ground {100 * result.explained_by_asymmetric:.0f} %"
         )
         plain = asdict(result)
         if self.output is not None:

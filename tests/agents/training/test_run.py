@@ -26,12 +26,14 @@ from agents.training.run import resume, train
 from shake_env.errors import ParameterError, RunDirectoryError
 
 
-def small(algorithm, memory=0, channels=0, paired=False, scenario="linear", **changes):
+def small(algorithm, memory=0, channels=0, paired=False, scenario="linear", asymmetric=False, **changes):
     """A run of a few seconds that checkpoints between any two roll-outs."""
     return TrainConfig(
         algorithm=algorithm,
         scenario=ScenarioOptions(scenario, duration=1.0),
-        ppo=PPOOptions(n_envs=4, n_steps=32, batch_size=64, n_epochs=2, paired=paired),
+        ppo=PPOOptions(
+            n_envs=4, n_steps=32, batch_size=64, n_epochs=2, paired=paired, asymmetric_critic=asymmetric
+        ),
         sac=SACOptions(
             n_envs=4,
             batch_size=32,
@@ -90,6 +92,7 @@ def small(algorithm, memory=0, channels=0, paired=False, scenario="linear", **ch
         ("apg", {"channels": 4, "scenario": "unknown-specimen"}),
         ("apg", {"num_artificial_motions": 3, "scenario": "laboratory"}),
         ("ppo", {"paired": True, "scenario": "unknown-specimen"}),
+        ("ppo", {"asymmetric": True, "scenario": "unknown-specimen"}),
         ("recurrent-ppo", {"paired": True, "scenario": "laboratory"}),
         ("sac", {"paired": True}),
         ("dagger", {"scenario": "laboratory"}),
