@@ -199,9 +199,11 @@ def _gradients_from_imitation(
 
 def _gradients_from_nothing(evaluation_task: str, learning_rate: float) -> ExperimentConfig:
     """Return the experiment of the analytic gradient for a linear table that is seen in full."""
-    options = APGOptions(n_envs=64, rollout_horizon=192, learning_rate=learning_rate)
-    config = TrainConfig(algorithm="apg", apg=options, episode_duration=20.0, total_timesteps=15_728_640)
-    why = f"windows of a second, whose truncation costs half a percent less; {_WHOLE_NOISE}"
+    options = APGOptions(
+        n_envs=64, rollout_horizon=192, late_rollout_horizon=384, learning_rate=learning_rate
+    )
+    config = TrainConfig(algorithm="apg", apg=options, episode_duration=20.0, total_timesteps=11_796_480)
+    why = f"windows of one second, then of two, whose truncation costs a percent less; {_WHOLE_NOISE}"
     return _experiment(evaluation_task, config, 3.0, why)
 
 

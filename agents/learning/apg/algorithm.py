@@ -28,9 +28,8 @@ from agents.learning.apg.window_rollout import Window, WindowRollout
 from agents.learning.memory_policies import GRUPolicy, MemoryPolicy, TCNPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
 from shake_env.errors import ParameterError
-from shake_env.simulation.engine import LaneState
 
-STEP_TRIALS = 4  # lengths of a step that are tried, the last of them 0
+LATE = 1 / 3  # share of a run, its last, in which a window may be longer
 
 
 class AnalyticPolicyGradient(BaseAlgorithm):
@@ -84,9 +83,9 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         0: all of a window is kept. Near the square root of `window` memory is least.
     stagger
         Whether first episodes are shortened so that lanes stand at different places of their motions.
-    step_check
-        Whether a step is halved while its own window would cost more with it (a line search on each
-        sample, as of Vaswani et al., NeurIPS 2019); for one more forward pass a step.
+    late_window
+        Control periods of the windows in the last third of `learn`; 0: as before. A short window learns
+        in many updates, and what it truncates biases the result; a long one at the end takes that away.
 
     Raises
     ------
@@ -119,7 +118,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         plant_dtype: str = "float64",
         checkpoint: int = 0,
         stagger: bool = True,
-        step_check: bool = False,
+        late_window: int = 0,
         stats_window_size: int = 100,
         tensorboard_log: str | None = None,
         policy_kwargs: dict[str, Any] | None = None,
@@ -135,8 +134,9 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         )  # fmt: skip
         if plant_dtype not in ("float64", "float32"):
             raise ParameterError("plant_dtype", plant_dtype, "known: float32, float64")
-        if checkpoint < 0:
-            raise ParameterError("checkpoint", checkpoint, "is a number of control periods, or 0")
+        for name, periods in (("checkpoint", checkpoint), ("late_window", late_window)):
+            if periods < 0:
+                raise ParameterError(name, periods, "is a number of control periods, or 0")
         self.window = window
         self.gamma = gamma
         self.td_lambda = td_lambda
@@ -149,9 +149,9 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.plant_dtype = plant_dtype
         self.checkpoint = checkpoint
         self.stagger = stagger
-        self.step_check = step_check
+        self.late_window = late_window
         self.memory: torch.Tensor | None = None  # (N, memory) the policy's, at a window's start
-        self.retreats = self.halvings = 0
+        self.retreats = 0
         self._tables: WindowRollout | None = None
         if _init_setup_model:
             self._setup_model()
@@ -180,6 +180,12 @@ class AnalyticPolicyGradient(BaseAlgorithm):
             self._tables = WindowRollout(self.env, device=self.device, dtype=dtype)
         return self._tables
 
+    @property
+    def present_window(self) -> int:
+        """Control periods of a window at this place of the run."""
+        late = self.late_window and self._current_progress_remaining <= LATE
+        return self.late_window if late else self.window
+
     def learn(
         self,
         total_timesteps: int,
@@ -205,7 +211,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
             callback.on_rollout_start()
             self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
             self.train()
-            self.num_timesteps += self.window * tables.env.num_envs
+            self.num_timesteps += self.present_window * tables.env.num_envs
             iteration += 1
             callback.update_locals(locals())
             going_on = callback.on_step()
@@ -222,15 +228,11 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.policy.set_training_mode(True)
         rate = self.lr_schedule(self._current_progress_remaining)
         update_learning_rate(self.policy.optimizer, rate)
-        start = (self.tables.env.get_state(), self.memory) if self.step_check else None
         loss, window, critic_features = self.window_loss()
         norm = set_gradient(self.policy, loss, self._actor, self.max_grad_norm)
         if np.isfinite(norm):
             self._follow(self._actor)
-            before = [parameter.detach().clone() for parameter in self._actor]
             self._step()
-            if start is not None:
-                self._check_step(float(loss.detach()), start, before)
         else:
             self._retreat()
         if self.terminal_value:
@@ -246,7 +248,6 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.logger.record("train/broken_limits", int(window.terminated.sum()))
         self.logger.record("train/gradient_norm", norm)
         self.logger.record("train/retreats", self.retreats)
-        self.logger.record("train/halvings", self.halvings)
         self.logger.record("train/learning_rate", rate)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
 
@@ -269,7 +270,11 @@ class AnalyticPolicyGradient(BaseAlgorithm):
             return action, memory, critic if self.terminal_value else None
 
         window = self.tables.rollout(
-            act, self.window, recalled=self._begin(), segment=self.checkpoint, parameters=self._actor
+            act,
+            self.present_window,
+            recalled=self._begin(),
+            segment=self.checkpoint,
+            parameters=self._actor,
         )
         self.memory = None if window.recalled is None else window.recalled.detach()
         critic_features: list[torch.Tensor] = []
@@ -280,7 +285,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         elif window.aside is not None:
             (_, critic), _ = latent(self.policy, window.shown.to(dtype), window.recalled)
             critic_features = [*window.aside, critic]
-        steps = torch.arange(self.window, device=self.device)
+        steps = torch.arange(self.present_window, device=self.device)
         discount = (self.gamma**steps).to(window.rewards.dtype)
         total = (discount[:, None] * window.rewards).sum(dim=0)
         if self.terminal_value:
@@ -307,27 +312,6 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.policy.optimizer.zero_grad(set_to_none=True)
 
     @torch.no_grad()
-    def _check_step(
-        self, loss: float, start: tuple[LaneState, torch.Tensor | None], before: list[torch.Tensor]
-    ) -> None:
-        """Halve the last step until its own window costs no more with it than without; drop it at last.
-
-        The window is followed again from where it began, on the same ground and noise.
-        """
-        end, memory = self.tables.env.get_state(), self.memory
-        for trial in range(STEP_TRIALS):
-            self.tables.env.set_state(start[0])
-            self.memory = start[1]
-            if float(self.window_loss()[0]) <= loss:
-                break
-            self.halvings += 1
-            share = 0.5 if trial < STEP_TRIALS - 1 else 0.0
-            for parameter, old in zip(self._actor, before, strict=True):
-                parameter.copy_(old + share * (parameter - old))
-        self.tables.env.set_state(end)
-        self.memory = memory
-
-    @torch.no_grad()
     def _retreat(self) -> None:
         """Reset the actor to the mean of its parameters over the last windows with a finite gradient.
 
@@ -349,7 +333,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
     def _fit_critic(self, window: Window, critic_features: list[torch.Tensor]) -> float:
         stacked = torch.stack(critic_features)
         targets = self._targets(window, stacked)
-        steps = torch.arange(self.window, device=stacked.device)
+        steps = torch.arange(self.present_window, device=stacked.device)
         counted = steps[:, None] < window.ends
         inputs, goals = stacked[:-1][counted], targets[counted]
         losses = []

@@ -287,38 +287,23 @@ def test_another_environment_is_refused_with_the_remedy():
         AnalyticPolicyGradient("MlpPolicy", env, plant_dtype="half", device="cpu")
 
 
-@pytest.mark.parametrize("memory", [None, GRUPolicy])
-def test_a_step_that_would_cost_its_own_window_more_is_halved_or_dropped(memory):
-    model = model_on(make_scenario("linear"), memory=memory, terminal_value=False)
-    for _ in range(4):  # away from rest
-        _, window, _ = model.window_loss()
-        model.tables.sync_env(window)
-    model._last_episode_starts[:] = False
-    start, kept = model.env.get_state(), model.memory
-    parameters = [parameter.detach().clone() for parameter in model._actor]
+def test_windows_of_the_last_third_of_a_run_are_the_late_ones():
+    model = model_on(make_scenario("linear"), terminal_value=True)
+    model.window, model.late_window = 8, 20
+    tables = model.env.num_envs
+    windows = []
 
-    def after_a_step(rate, check):
-        """Return the cost of the window with the new parameters, and where the tables went."""
-        model.env.set_state(start)
-        model.memory, model.halvings, model.step_check = kept, 0, check
-        model.lr_schedule = lambda progress: rate
-        model.train()
-        place = model.env.get_state()
-        model.env.set_state(start)
-        model.memory = kept
-        cost = model.window_loss()[0].item()
-        with torch.no_grad():
-            for parameter, old in zip(model._actor, parameters, strict=True):
-                parameter.copy_(old)
-        return cost, place
+    class Watch(BaseCallback):
+        def _on_step(self):
+            windows.append(self.model.present_window)
+            return True
 
-    before, unchecked = after_a_step(0.0, False)
-    cost, place = after_a_step(1e-5, True)
-    assert model.halvings == 0 and cost < before
-    for name in ("state", "key", "period", "step_count", "returns", "observation"):
-        np.testing.assert_array_equal(place[name], unchecked[name])  # the check moved no table
-    assert after_a_step(10.0, False)[0] > before
-    assert after_a_step(10.0, True)[0] <= before and model.halvings > 0
+    model.learn(64 * tables, Watch())
+    # Windows begin at 0, 8, ... 48 of 64 periods; the one at 48 is the first in the last third.
+    assert windows == [8] * 6 + [20]
+    assert model.num_timesteps == 68 * tables
+    with pytest.raises(ParameterError, match="late_window"):
+        AnalyticPolicyGradient("MlpPolicy", model.env, late_window=-1, device="cpu")
 
 
 def test_single_precision_follows_double():
