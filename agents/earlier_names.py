@@ -22,6 +22,7 @@ from shake_env.renamed import (
 )
 
 SECTIONS = ("ppo", "sac", "td3", "tqc", "recurrent_ppo", "apg")  # of a configuration, an algorithm each
+REMOVED = {"step_check": False}  # options that are gone, with the value that has no effect
 
 
 def present_words(words: Sequence[str]) -> list[str]:
@@ -119,6 +120,7 @@ def warn_of_old_names(values: Any, source: str) -> None:
 
 def _present_section(values: Mapping[str, Any]) -> dict[str, Any]:
     present = {ALGORITHM.get(name, name): value for name, value in values.items()}
+    present = {name: value for name, value in present.items() if (name, value) not in REMOVED.items()}
     if "base_controller" in present:
         present["base_controller"] = _present_value(present["base_controller"])
     if isinstance(values.get(INVERTED), bool):

@@ -190,11 +190,13 @@ def _gradients_from_imitation(
     options: APGOptions,
     usual: dict[str, Any],
     soft: tuple[str, ...],
+    first: str = "dagger",
+    label: str = "dagger-apg",
 ) -> ExperimentConfig:
-    """Return the experiment of the analytic gradient that goes on from the shipped imitation."""
-    config = TrainConfig(algorithm="apg", apg=options, init_policy="dagger", **usual)
-    why = "goes on from `dagger` on the cost itself"
-    return _experiment(evaluation_task, config, minutes, why, label="dagger-apg", otherwise=soft)
+    """Return the experiment of the analytic gradient that goes on from an imitation."""
+    config = TrainConfig(algorithm="apg", apg=options, init_policy=first, **usual)
+    why = f"goes on from `{first}` on the cost itself"
+    return _experiment(evaluation_task, config, minutes, why, label=label, otherwise=soft)
 
 
 def _gradients_from_nothing(evaluation_task: str, learning_rate: float) -> ExperimentConfig:
@@ -361,6 +363,16 @@ EXPERIMENTS: tuple[ExperimentConfig, ...] = (
         _correction(memory=64, authority=0.1),
         {**_STROKE, "total_timesteps": 6_144_000, "evaluations": 10},
         _SOFT,
+    ),
+    # Its cost was still falling: three times as long again, with a larger step.
+    _gradients_from_imitation(
+        "field",
+        30.0,
+        replace(_correction(memory=64, authority=0.1), learning_rate=5e-4),
+        {**_STROKE, "total_timesteps": 18_432_000, "evaluations": 12},
+        _SOFT,
+        "dagger-apg",
+        "dagger-apg-long",
     ),
     _experiment(
         "yielding",

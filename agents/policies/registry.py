@@ -33,8 +33,9 @@ from shake_env.scenario.presets import NAMED
 from shake_env.scenario.scenario import Scenario
 
 ORACLE = "oracle"  # a full-state law for the true plants, see `baselines.lqr.oracle`
-# Policies that come with the package, by algorithm; dagger-apg is dagger's continued by gradients.
-SHIPPED = ("ppo", "apg", "dagger", "dagger-apg", "sac")
+# Policies that come with the package, by algorithm; dagger-apg is dagger's continued by gradients, and
+# dagger-apg-long that one's by more of them.
+SHIPPED = ("ppo", "apg", "dagger", "dagger-apg", "dagger-apg-long", "sac")
 
 
 @dataclass(frozen=True)

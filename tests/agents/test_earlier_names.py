@@ -183,3 +183,10 @@ def test_old_python_names_are_the_present_ones(package):
         assert old not in module.__all__
         with pytest.warns(renamed.RenamedWarning, match=present):
             assert getattr(module, old) is getattr(module, present)
+
+
+def test_an_option_that_is_gone_is_dropped_where_it_had_no_effect():
+    plain = {"algorithm": "apg", "apg": {"step_check": False, "n_envs": 8}}
+    assert present_config(plain)["apg"] == {"n_envs": 8}
+    plain["apg"]["step_check"] = True
+    assert "step_check" in present_config(plain)["apg"]  # refused by name where it is read

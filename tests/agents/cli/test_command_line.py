@@ -154,7 +154,7 @@ def test_list_has_a_line_for_every_name(capsys):
     assert tuple(found["scenarios"]) == SCENARIO_NAMES
     assert tuple(found["records"]) == RECORD_NAMES
     assert list(found["controllers"]) == [*CLASSICAL, "oracle"]
-    assert set(found["policies"]) == {"ppo", "apg", "dagger", "dagger-apg", "sac"}
+    assert set(found["policies"]) == {"ppo", "apg", "dagger", "dagger-apg", "dagger-apg-long", "sac"}
     assert all(len(text) > 10 for kind in found.values() for text in kind.values())
     assert main(["list", "scenarios"]) == 0
     lines = capsys.readouterr().out.splitlines()
