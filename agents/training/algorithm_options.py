@@ -220,9 +220,5 @@ class APGOptions:
     """What the policy can add to that law, as a fraction of the current limit."""
     precision: Literal["float64", "float32"] = "float64"
     """Precision of the plant's state."""
-    late_rollout_horizon: int = 0
-    """Control periods of the window in the last third of the run; 0: as before. A short window learns
-    fast, a long one truncates less: on linear 192 periods alone end at 1.009, with 384 at the end at
-    1.001."""
     device: str = "cpu"
     """Torch device. On a CPU a gradient takes tens of milliseconds."""

@@ -111,7 +111,7 @@ class TrainConfig:
             "log_std_init", "target_entropy", "base_controller", "actor_bias", "terminal_value",
             *MEMORY_OPTIONS.values(), "precision", "device", "top_quantiles_to_drop_per_net",
             "checkpoint_segment_length", "critic_warmup_fraction", "paired", "direct_path", "teacher",
-            "late_rollout_horizon", "asymmetric_critic",
+            "asymmetric_critic",
         )  # fmt: skip
         every = (
             self.ppo, self.sac, self.td3, self.tqc, self.recurrent_ppo, self.apg, self.dagger,
@@ -119,7 +119,7 @@ class TrainConfig:
         for options in every:
             require_positive(options, *(name for name in vars(options) if name not in not_positive))
         require_non_negative(self, "seed", "num_artificial_motions")
-        require_non_negative(self.apg, "late_rollout_horizon", "checkpoint_segment_length")
+        require_non_negative(self.apg, "checkpoint_segment_length")
         if self.num_artificial_motions and self.seed >= MOST_RUNS:
             raise ParameterError(
                 "seed",

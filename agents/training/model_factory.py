@@ -292,7 +292,6 @@ def _analytic(
         terminal_value=analytic.terminal_value,
         plant_dtype=analytic.precision,
         checkpoint=analytic.checkpoint_segment_length,
-        late_window=analytic.late_rollout_horizon,
         seed=config.seed,
         policy_kwargs=policy,
         device=analytic.device,

@@ -29,8 +29,6 @@ from agents.learning.memory_policies import GRUPolicy, MemoryPolicy, TCNPolicy
 from agents.learning.vec_env import ShakeTableVecEnv
 from shake_env.errors import ParameterError
 
-LATE = 1 / 3  # share of a run, its last, in which a window may be longer
-
 
 class AnalyticPolicyGradient(BaseAlgorithm):
     """Learn the mean action of an actor-critic policy by back-propagation through the plant.
@@ -83,9 +81,6 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         0: all of a window is kept. Near the square root of `window` memory is least.
     stagger
         Whether first episodes are shortened so that lanes stand at different places of their motions.
-    late_window
-        Control periods of the windows in the last third of `learn`; 0: as before. A short window learns
-        in many updates, and what it truncates biases the result; a long one at the end takes that away.
 
     Raises
     ------
@@ -118,7 +113,6 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         plant_dtype: str = "float64",
         checkpoint: int = 0,
         stagger: bool = True,
-        late_window: int = 0,
         stats_window_size: int = 100,
         tensorboard_log: str | None = None,
         policy_kwargs: dict[str, Any] | None = None,
@@ -134,9 +128,8 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         )  # fmt: skip
         if plant_dtype not in ("float64", "float32"):
             raise ParameterError("plant_dtype", plant_dtype, "known: float32, float64")
-        for name, periods in (("checkpoint", checkpoint), ("late_window", late_window)):
-            if periods < 0:
-                raise ParameterError(name, periods, "is a number of control periods, or 0")
+        if checkpoint < 0:
+            raise ParameterError("checkpoint", checkpoint, "is a number of control periods, or 0")
         self.window = window
         self.gamma = gamma
         self.td_lambda = td_lambda
@@ -149,7 +142,6 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         self.plant_dtype = plant_dtype
         self.checkpoint = checkpoint
         self.stagger = stagger
-        self.late_window = late_window
         self.memory: torch.Tensor | None = None  # (N, memory) the policy's, at a window's start
         self.retreats = 0
         self._tables: WindowRollout | None = None
@@ -180,12 +172,6 @@ class AnalyticPolicyGradient(BaseAlgorithm):
             self._tables = WindowRollout(self.env, device=self.device, dtype=dtype)
         return self._tables
 
-    @property
-    def present_window(self) -> int:
-        """Control periods of a window at this place of the run."""
-        late = self.late_window and self._current_progress_remaining <= LATE
-        return self.late_window if late else self.window
-
     def learn(
         self,
         total_timesteps: int,
@@ -211,7 +197,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
             callback.on_rollout_start()
             self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
             self.train()
-            self.num_timesteps += self.present_window * tables.env.num_envs
+            self.num_timesteps += self.window * tables.env.num_envs
             iteration += 1
             callback.update_locals(locals())
             going_on = callback.on_step()
@@ -271,7 +257,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
 
         window = self.tables.rollout(
             act,
-            self.present_window,
+            self.window,
             recalled=self._begin(),
             segment=self.checkpoint,
             parameters=self._actor,
@@ -285,7 +271,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
         elif window.aside is not None:
             (_, critic), _ = latent(self.policy, window.shown.to(dtype), window.recalled)
             critic_features = [*window.aside, critic]
-        steps = torch.arange(self.present_window, device=self.device)
+        steps = torch.arange(self.window, device=self.device)
         discount = (self.gamma**steps).to(window.rewards.dtype)
         total = (discount[:, None] * window.rewards).sum(dim=0)
         if self.terminal_value:
@@ -333,7 +319,7 @@ class AnalyticPolicyGradient(BaseAlgorithm):
     def _fit_critic(self, window: Window, critic_features: list[torch.Tensor]) -> float:
         stacked = torch.stack(critic_features)
         targets = self._targets(window, stacked)
-        steps = torch.arange(self.present_window, device=stacked.device)
+        steps = torch.arange(self.window, device=stacked.device)
         counted = steps[:, None] < window.ends
         inputs, goals = stacked[:-1][counted], targets[counted]
         losses = []

@@ -287,25 +287,6 @@ def test_another_environment_is_refused_with_the_remedy():
         AnalyticPolicyGradient("MlpPolicy", env, plant_dtype="half", device="cpu")
 
 
-def test_windows_of_the_last_third_of_a_run_are_the_late_ones():
-    model = model_on(make_scenario("linear"), terminal_value=True)
-    model.window, model.late_window = 8, 20
-    tables = model.env.num_envs
-    windows = []
-
-    class Watch(BaseCallback):
-        def _on_step(self):
-            windows.append(self.model.present_window)
-            return True
-
-    model.learn(64 * tables, Watch())
-    # Windows begin at 0, 8, ... 48 of 64 periods; the one at 48 is the first in the last third.
-    assert windows == [8] * 6 + [20]
-    assert model.num_timesteps == 68 * tables
-    with pytest.raises(ParameterError, match="late_window"):
-        AnalyticPolicyGradient("MlpPolicy", model.env, late_window=-1, device="cpu")
-
-
 def test_single_precision_follows_double():
     scenario = make_scenario("laboratory")
     model = model_on(scenario)
