@@ -221,8 +221,8 @@ def _ppo_from_nothing(
 
 EXPERIMENTS: tuple[ExperimentConfig, ...] = (
     _gradients_from_nothing("linear", 8e-4),
-    # Windows of a second truncate 0.6 % of the cost, of two seconds 0.2 %; from random weights those take
-    # twice as long for an update.
+    # Windows of a second truncate 0.6 % of the cost, of two seconds 0.2 %; those take twice as long for
+    # an update, of which a run from random weights needs a thousand.
     _experiment(
         "linear",
         TrainConfig(
