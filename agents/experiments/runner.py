@@ -69,6 +69,11 @@ class Task:
     def _watch(self) -> RunWatch:
         return RunWatch(self.name, self.run)
 
+    @property
+    def before(self) -> int:
+        """Runs that must be done before this one, each beginning with the one ahead of it."""
+        return 0 if self.first is None else 1 + self.first.before
+
     def require_first(self) -> None:
         """Note a failure where the run that this one would begin with is not done."""
         if self.first is not None and self.state == "waiting" and self.first.state != "done":
@@ -144,8 +149,8 @@ class Campaign:
         FileError
             If the folder of a run cannot be written.
         """
-        for later in (False, True):
-            tasks = [task for task in self.tasks if (task.first is not None) is later]
+        for before in range(1 + max((task.before for task in self.tasks), default=0)):
+            tasks = [task for task in self.tasks if task.before == before]
             for task in tasks:
                 task.require_first()
             self._run(executor, tasks, on_update)
@@ -234,8 +239,10 @@ def plan_runs(
     ]
     counts = {each.name: each.seeds if seeds is None else seeds for each in chosen}
     for each in chosen:
-        if (first := firsts.get(each.name)) is not None:
-            counts[first.name] = max(counts.get(first.name, 0), counts[each.name])
+        following = each
+        while (first := firsts.get(following.name)) is not None:
+            counts[first.name] = max(counts.get(first.name, 0), counts[following.name])
+            following = first
     tasks: dict[tuple[str, int], Task] = {}
     for experiment in [each for each in experiments if each.name in counts]:
         for seed in range(counts[experiment.name]):

@@ -106,20 +106,22 @@ def _begins_with(label, seeds=1):
 
 def test_an_experiment_begins_with_the_policy_of_the_same_seed_of_another(tmp_path):
     first, later = replace(GOOD, label="first"), _begins_with("first", seeds=2)
-    tasks = plan_runs([later, first], tmp_path, ["linear/later"])
+    last = replace(_begins_with("later", seeds=2), label="last")
+    tasks = plan_runs([last, later, first], tmp_path, ["linear/last"])
     assert sorted(task.name for task in tasks) == [
-        f"linear/{name}/{seed}" for name in ("first", "later") for seed in (0, 1)
+        f"linear/{name}/{seed}" for name in ("first", "last", "later") for seed in (0, 1)
     ]
     campaign = Campaign(tasks)
     with LocalExecutor(2) as executor:
         campaign.run(executor)
-    assert campaign.counts() == {"done": 4}, campaign.failures()
+    assert campaign.counts() == {"done": 6}, campaign.failures()
     for seed in (0, 1):
-        begun = tmp_path / f"linear/first/{seed}/policy.safetensors"
-        card = load_policy(tmp_path / f"linear/later/{seed}/policy.safetensors").card
-        assert card["first"]["sha256"] == file_digest(begun)
-        assert card["config"]["init_policy"] == "first"  # no path: the folder may be moved
-    assert {task.state for task in plan_runs([later, first], tmp_path)} == {"done"}
+        for ahead, name in (("first", "later"), ("later", "last")):
+            begun = tmp_path / f"linear/{ahead}/{seed}/policy.safetensors"
+            card = load_policy(tmp_path / f"linear/{name}/{seed}/policy.safetensors").card
+            assert card["first"]["sha256"] == file_digest(begun)
+            assert card["config"]["init_policy"] == ahead  # no path: the folder may be moved
+    assert {task.state for task in plan_runs([last, later, first], tmp_path)} == {"done"}
 
 
 def test_a_run_whose_first_policy_is_not_there_is_a_failure(tmp_path):
@@ -369,7 +371,8 @@ def test_the_plan_is_printed_with_minutes(tmp_path, capsys):
     ]
     assert main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert [row["runs"] for row in found["plan"]] == [2] * len(FROM_NOTHING)
+    linear = [each for each in EXPERIMENTS if each.evaluation_task == "linear"]
+    assert [row["runs"] for row in found["plan"]] == [2] * len(linear)
     minutes = sum(row["minutes_left"] for row in found["plan"])
     assert found["minutes_left"] == pytest.approx(minutes / 2)
     assert list(tmp_path.iterdir()) == []
