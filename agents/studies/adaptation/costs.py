@@ -61,7 +61,7 @@ class ClearedMemory:
             raise ParameterError(
                 "controller", type(policy).__name__, "has no memory: name a policy with one"
             )
-        self._policy, self._period, self._arrays = policy, period, policy.memory.arrays
+        self._policy, self._period, self._arrays = policy, period, len(policy.memory.state_widths)
 
     def predict(
         self,
