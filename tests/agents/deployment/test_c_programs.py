@@ -271,6 +271,7 @@ def test_the_adaptive_controller_is_exported(scenario, masses):
 SUITED = {
     **dict.fromkeys(("lqg", "lqg-dac", "dagger", "dagger-apg"), "laboratory"),
     **dict.fromkeys(("multi-model", "adaptive"), "unknown-specimen"),
+    "dagger-apg-long": "field",
 }  # a scenario of those that linear does not suit
 
 
