@@ -69,7 +69,7 @@ def overhead(engine: str) -> dict[str, Any]:
 
 
 def campaign_tasks(folder: Path) -> list[Any]:
-    from agents.experiments.catalogue import ExperimentConfig
+    from agents.experiments.recipes import ExperimentConfig
     from agents.experiments.runner import plan_runs
     from agents.training.algorithm_options import APGOptions, PPOOptions, SACOptions
     from agents.training.config import TrainConfig

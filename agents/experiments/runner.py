@@ -13,7 +13,7 @@ from typing import Any, Literal
 from agents.execution.environment import folder_token
 from agents.execution.executor import Executor
 from agents.execution.worker import Call, Outcome
-from agents.experiments.catalogue import ExperimentConfig
+from agents.experiments.recipes import ExperimentConfig
 from agents.experiments.run_watch import RunWatch, log_of
 from agents.experiments.worker import train_run
 from agents.run_directory import CONFIG, POLICY

@@ -21,7 +21,7 @@ from typing import Any
 import shake_env
 from agents.execution.executor import Executor
 from agents.experiments import catalogue, study_storage
-from agents.experiments.catalogue import ExperimentConfig
+from agents.experiments.recipes import ExperimentConfig
 from agents.experiments.search_objective import ValidationSet
 from agents.experiments.search_space import (
     TRAIN_SEED,

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from agents.evaluation.statistics import cost_ratio
-from agents.experiments.catalogue import ExperimentConfig
 from agents.experiments.controller_tuning import FAILED
 from agents.experiments.evaluation_tasks import EVALUATION_TASKS
+from agents.experiments.recipes import ExperimentConfig
 from agents.run_directory import evaluations_of_run
 from agents.seeds import VALIDATION_SEED
 from agents.training.config import TrainConfig

@@ -15,7 +15,7 @@ from functools import lru_cache
 from typing import Any, get_args
 
 from agents.evaluation.bound import optimal_cost
-from agents.experiments.catalogue import ExperimentConfig
+from agents.experiments.recipes import ExperimentConfig
 from agents.policies.base_law import base_law
 from agents.policies.base_names import BaseLaw
 from agents.seeds import MOST_RUNS

@@ -14,7 +14,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
-from agents.learning.law_batch import LawBatch
+from agents.learning.law_batch import LawBatch, MemoryBatch
 from agents.learning.plan_batch import PlanBatch
 from agents.policies.estimated_law import EstimatedLaw
 from agents.policies.plan_law import PlanLaw
@@ -85,7 +85,7 @@ class ShakeTableVecEnv(VecEnv):
         self._returns = np.zeros(num_envs)
         self._observation = np.zeros((num_envs, scenario.observation.size), dtype=np.float32)
         self._shown = np.zeros((num_envs, len(self.base)), dtype=np.float32)
-        self._laws: LawBatch | PlanBatch | None = LawBatch(self.law, num_envs) if self.law else None
+        self._laws: MemoryBatch | None = LawBatch(self.law, num_envs) if self.law else None
         if self.plan is not None:
             self._laws = PlanBatch(self.plan, num_envs, lambda: self.simulation.motions)
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 from matplotlib.figure import Figure
 
-from agents.experiments import catalogue
-from agents.experiments.catalogue import ExperimentConfig
+from agents.experiments.evaluation_tasks import EVALUATION_TASKS
+from agents.experiments.recipes import ExperimentConfig
 from agents.experiments.search import open_search
 from agents.experiments.search_space import own_values, search_space
 from agents.scenario_options import ScenarioOptions
@@ -30,9 +30,7 @@ TINY = ExperimentConfig(evaluation_task="linear", config=SMALL, minutes=0.1)
 @contextmanager
 def short_validation():
     """What a search is judged on lasts a second, and no evaluation of this process draws a figure."""
-    task = replace(
-        next(t for t in catalogue.EVALUATION_TASKS if t.name == "linear"), options=SMALL.scenario
-    )
+    task = replace(next(t for t in EVALUATION_TASKS if t.name == "linear"), options=SMALL.scenario)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("agents.experiments.search_objective.EVALUATION_TASKS", (task,))
         patch.setattr("agents.training.watch.example_figure", lambda trajectory, title: Figure())

@@ -18,8 +18,9 @@ from agents.evaluation.protocol import evaluate
 from agents.execution.environment import environment
 from agents.execution.local_executor import LocalExecutor
 from agents.experiments import catalogue
-from agents.experiments.catalogue import EXPERIMENTS, ExperimentConfig
+from agents.experiments.catalogue import EXPERIMENTS
 from agents.experiments.evaluation_tasks import EVALUATION_TASKS, EvaluationTask
+from agents.experiments.recipes import ExperimentConfig
 from agents.experiments.results import evaluate_task
 from agents.experiments.runner import Campaign, plan_rows, plan_runs
 from agents.policies.base_law import base_law
@@ -295,7 +296,7 @@ def test_a_worker_whose_campaign_was_killed_ends(tmp_path):
     code = (
         "import os, signal, sys\n"
         "from agents.execution.local_executor import LocalExecutor\n"
-        "from agents.experiments.catalogue import ExperimentConfig\n"
+        "from agents.experiments.recipes import ExperimentConfig\n"
         "from agents.experiments.runner import Campaign, plan_runs\n"
         "from agents.run_directory import parse_json\n"
         "from agents.training.config import config_of\n"

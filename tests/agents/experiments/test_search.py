@@ -12,7 +12,7 @@ from small_experiment import SMALL, TINY, essence, led_study, short_validation
 
 from agents.__main__ import main
 from agents.experiments import catalogue
-from agents.experiments.catalogue import ExperimentConfig
+from agents.experiments.recipes import ExperimentConfig
 from agents.experiments.search import find_experiment, open_search, search_training, trace_of
 from agents.experiments.search_figure import search_figure
 from agents.experiments.search_objective import PrunedError, PruningCallback, ValidationSet

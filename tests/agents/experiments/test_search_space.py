@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_experiment import SMALL, TINY
 
-from agents.experiments.catalogue import EXPERIMENTS, ExperimentConfig
+from agents.experiments.catalogue import EXPERIMENTS
+from agents.experiments.recipes import ExperimentConfig
 from agents.experiments.search import find_experiment
 from agents.experiments.search_objective import (
     ValidationSet,

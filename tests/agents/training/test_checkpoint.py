@@ -15,7 +15,7 @@ from safetensors.numpy import save_file
 
 from agents.__main__ import main
 from agents.evaluation.entries import find_entry
-from agents.experiments.catalogue import ExperimentConfig
+from agents.experiments.recipes import ExperimentConfig
 from agents.experiments.runner import Task
 from agents.policies.registry import get_controller
 from agents.run_directory import append_row, evaluations_of_run, locked_folder
